@@ -11,6 +11,8 @@ from fvs_ros.urdf import Kinematics
 
 #: A part of the URDF does not fit if it is off by so many deviations, and by this, rad.
 _SIGMAS, _ZERO_OFF_RAD = 5.0, np.radians(0.2)
+#: An encoder is off by more than this share.
+_ENCODER_OFF = 0.001
 #: Deviations of the camera's place, m, and turn, rad, of a calibration that is good, and usable.
 GOOD, USABLE = (0.001, np.radians(0.1)), (0.01, np.radians(1.0))
 #: With a zero of this size, rad, the joint turns the other way, or is another.
@@ -68,7 +70,11 @@ class Calibration:
     scale, scale_deviation : float
         Lengths that the camera reports over true ones, and the standard deviation.
     focal, focal_deviation : float
-        The same across the line of sight over along it, such as by a wrong focal length.
+        The focal length over the one that the camera counts with.
+    radial, radial_deviation : float
+        First coefficient of distortion (k1) that the camera does not know of.
+    encoders, encoders_deviation : ndarray, shape (n,)
+        True motion of each joint over the reported one, less 1.
     zeros_rad, zeros_deviation_rad : ndarray, shape (n,)
         What has to be added to each reported joint for the URDF, rad (m); infinite deviations where
         the motion does not tell.
@@ -97,6 +103,10 @@ class Calibration:
     scale_deviation: float
     focal: float
     focal_deviation: float
+    radial: float
+    radial_deviation: float
+    encoders: np.ndarray
+    encoders_deviation: np.ndarray
     zeros_rad: np.ndarray
     zeros_deviation_rad: np.ndarray
     residual_m: float
@@ -109,8 +119,14 @@ class Calibration:
 
     def seen(self, points_m: np.ndarray) -> np.ndarray:
         """Points of the parent's frame, m, (k, 3), in the camera's, where its image shows them."""
-        across = np.array([self.focal, self.focal, 1.0])
-        return np.asarray((points_m - self.translation_m) @ self.rotation * across)
+        seen = (points_m - self.translation_m) @ self.rotation
+        square = np.sum((seen[:, :2] / seen[:, 2:]) ** 2, axis=1, keepdims=True)
+        seen[:, :2] *= self.focal * (1.0 + self.radial * square)
+        return np.asarray(seen)
+
+    def true_joints(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The URDF's joints, rad (m), (..., n), of reported ones."""
+        return np.asarray((1.0 + self.encoders) * joints_rad + self.zeros_rad)
 
     @property
     def deviation_m(self) -> float:
@@ -169,7 +185,7 @@ class Calibration:
         return f"{best.words} to know it to {_sizes(best.deviation_m, best.deviation_rad)}"
 
     def notes(self) -> list[str]:
-        """Zeros that are off, and what the motion did not tell."""
+        """What else is off, and what the motion did not tell."""
         found = []
         for name, zero, deviation, shifts in zip(
             self.arm.names,
@@ -183,6 +199,11 @@ class Calibration:
                 found.append(
                     f"the zero of {name} is off by {size}, {abs(zero) / deviation:.0f} sigma"
                 )
+        for name, encoder, deviation in zip(
+            self.arm.names, self.encoders, self.encoders_deviation, strict=True
+        ):
+            if abs(encoder) > max(_SIGMAS * deviation, _ENCODER_OFF):
+                found.append(f"{name} moves {100.0 * encoder:+.2f} % further than it reports")
         blind = [self.arm.names[0], self.arm.names[-1]]
         inside = slice(1, -1)
         unsure = np.isinf(self.zeros_deviation_rad[inside])
@@ -203,9 +224,11 @@ class Calibration:
             )
         if abs(self.focal - 1.0) > max(_SIGMAS * self.focal_deviation, 0.002):
             found.append(
-                f"lengths across the line of sight are {100.0 * (self.focal - 1.0):+.2f} % longer "
-                "than along it: is the focal length right?"
+                f"the focal length is {100.0 * (self.focal - 1.0):+.2f} % longer than the camera "
+                "counts with: is its camera_info right?"
             )
+        if abs(self.radial) > max(_SIGMAS * self.radial_deviation, 0.01):
+            found.append(f"the lens has a distortion of k1 = {self.radial:.3f} that is not removed")
         return found
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fvs_ros.chain import SerialChain, cross_matrix
+from fvs_ros.chain import SerialChain
 
 #: Place of the offset of the stamps among the coordinates: the last.
 OFFSET = -1
@@ -63,45 +63,22 @@ def residuals_and_slopes(
     """Chain minus images, m, (k, m), and the derivatives by the coordinates, (k, m, size).
 
     Of k images: joints, rad, and their velocities, rad/s, (k, n), and the feature, m, (k, m).
-    Turning an axis about w_b through its point q takes ``E u`` to ``w_b x E u - E (w_b x u)``, u
-    from q; a shift of it along w takes ``u + a w`` to ``a w_b x w``. Directions are not shifted.
+    An axis that is turned or shifted moves what is behind its joint, and what is behind the next
+    by the opposite.
     """
     chain, lengths = chart.chain(values), np.linalg.norm(chart.directions(values), axis=1)
-    axes, (images, joints) = chain.axes, joints_rad.shape
-    travel = joints_rad - chain.reference_rad
-    angles = np.where(chain.prismatic, 0.0, travel)[..., None, None]
-    shifts = np.where(chain.prismatic, travel, 0.0)[..., None] * axes
-    k = cross_matrix(axes)
-    turns = np.eye(3) + np.sin(angles) * k + (1.0 - np.cos(angles)) * (k @ k)
-    carried = chain.feature_m.reshape(-1, 3)
-    rows = len(carried)
-    is_point = np.eye(rows)[:1].T  # the first row is the point
-    now = np.broadcast_to(carried, (images, rows, 3))
-    before_turn, after_turn = (np.empty((joints, images, rows, 3)) for _ in range(2))
-    for i in reversed(range(joints)):
-        before_turn[i] = now - is_point * chain.points_m[i]
-        after_turn[i] = before_turn[i] @ np.swapaxes(turns[:, i], 1, 2)
-        after_turn[i] += is_point * shifts[:, None, i]
-        now = is_point * chain.points_m[i] + after_turn[i]
-    slope = np.zeros((images, rows, 3, chart.size))
-    frame = np.broadcast_to(np.eye(3), (images, 3, 3))
-    velocity = np.zeros((images, rows, 3))
-    for i in range(joints):
-        basis, turn = chart.basis[i], turns[:, i]
-        at = slice(len(basis) * i, len(basis) * (i + 1))
-        about = np.swapaxes(cross_matrix(np.cross(axes[i], basis) / lengths[i]), 1, 2)
-        back = np.swapaxes(frame, 1, 2)
-        turned = [
-            (after_turn[i] @ one - before_turn[i] @ one @ np.swapaxes(turn, 1, 2)) @ back
-            for one in about
-        ]
-        slope[..., chart.turns][..., at] = np.stack(turned, axis=-1)
-        slope[:, 0, :, chart.shifts][..., at] = frame @ (basis.T - turn @ basis.T)
-        moves = is_point * axes[i] if chain.prismatic[i] else after_turn[i] @ k[i].T
-        velocity += (velocity_rad_s[:, i, None, None] * moves) @ back
-        frame = frame @ turn
-    for row in range(rows):
-        slope[:, row, :, chart.of_feature][..., 3 * row : 3 * row + 3] = frame
-    slope[..., OFFSET] = -velocity
-    residual = now.reshape(images, -1) - feature_m
-    return residual, slope.reshape(*residual.shape, chart.size)
+    basis, joints = chart.basis, np.arange(len(lengths))
+    turns = np.cross(chain.axes[:, None], basis) / lengths[:, None, None]
+    twists = np.zeros((len(joints) + 1, 2, *basis.shape[:2], 6))  # of the turns, then the shifts
+    twists[joints, 0, joints, :, :3] = turns
+    twists[joints, 0, joints, :, 3:] = np.cross(chain.points_m[:, None], turns)
+    twists[joints, 1, joints, :, 3:] = basis
+    twists[1:] -= twists[:-1].copy()
+    parts = chain.slopes(joints_rad, np.moveaxis(twists, -1, 1).reshape(len(twists), 6, -1))
+    slope = np.zeros((*feature_m.shape, chart.size))
+    slope[..., : parts.by_twist.shape[2]] = parts.by_twist
+    for first in range(0, feature_m.shape[1], 3):
+        row = slice(first, first + 3)
+        slope[:, row, chart.of_feature][..., row] = parts.turns
+    slope[..., OFFSET] = -np.einsum("kmi,ki->km", parts.by_joint, velocity_rad_s)
+    return parts.feature_m - feature_m, slope

@@ -33,9 +33,10 @@ from fvs_estimator_node.chain_start import (
     regress,
 )
 from fvs_estimator_node.files import DataSet
-from fvs_ros.chain import SerialChain
+from fvs_ros.chain import SerialChain, cross_matrix
 from fvs_ros.timeline import MAX_GAP_S
 from fvs_ros.tracker import OUTLIER
+from fvs_ros.vectors import LARGEST, plausible
 
 #: Fewest images that a chain is fitted to.
 _MIN_SAMPLES = 200
@@ -53,7 +54,9 @@ _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
 #: Least count of pairs of neighbouring images for a median.
 _LEAST_PAIRS = 50
 #: A start is right if its residual is below this multiple of the images' own.
-_GOOD_SHARE = 1.5
+_GOOD_SHARE = 1.2
+#: Another start is better if it costs this share or less.
+_BETTER = 0.9
 #: Prior standard deviations, which hold coordinates that the data do not determine: rad, m, m/rad
 #: for turns, shifts and slopes of the residuals by the joints; s for the offset.
 _PRIOR, _OFFSET_PRIOR_S = 1.0, 0.1
@@ -184,6 +187,8 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
             f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}; still poses have "
             f"joints at rest for {MAX_OFFSET_S:g} s before each image, or no stamp_s in a table"
         )
+    if not plausible(data.ball_m):
+        raise ChainFitError(f"the {data.servoed.what} has a place above {LARGEST:g} m: metres?")
     if np.linalg.norm(data.ball_m.std(axis=0)) < 1e-3:
         raise ChainFitError(
             f"the {data.servoed.what} does not move in the data set, so there is no chain to find"
@@ -233,13 +238,15 @@ class _Fitting:
             unit = np.broadcast_to(np.eye(size) / regression.distance_m, (images, size, size))
             return self._solve(begin, unit, some, 3.0, 60)
 
-        best = fitted(first_guess(regression, reference))
-        for rank in range(2 * len(reference)):
+        best, rank, better = fitted(first_guess(regression, reference)), 0, 0
+        while rank < better + len(reference):  # all joints since the last that was better
             residual_m, noise_m = self._distances_m(self._residuals(best))
             if residual_m < _GOOD_SHARE * noise_m:
                 break
-            others = map(fitted, other_starts(best.chain, rank))
-            best = min((best, *others), key=lambda one: one.cost)
+            for other in map(fitted, other_starts(best.chain, rank)):
+                if other.cost < _BETTER * best.cost:
+                    best, better = other, rank + 1
+            rank += 1
         return best
 
     def start_at_random(self) -> _Found:
@@ -302,7 +309,7 @@ class _Fitting:
             found = self._solve(found, weights, images[inlier])
         residual = self._residuals(found)
         residual_m, noise_m = self._distances_m(residual)
-        ray_m, lateral_m = noise_by_direction(residual, self._ball)
+        ray_m, lateral_m = noise_by_direction(residual[:, :3], self._ball)
         inlier = inliers(residual, self._ball)
         covariance, unfitted = self._moments(found, weights, inlier)
         return ChainFit(
@@ -419,9 +426,9 @@ class _Fitting:
 def noise_by_direction(residual_m: np.ndarray, feature_m: np.ndarray) -> tuple[float, float]:
     """Standard deviations along the line of sight and across it, by medians, m.
 
-    Takes residuals and features of k images, m, (k, m).
+    Takes residuals, (k, 3), and features, (k, m), of k images, m.
     """
-    sight, residual_m = _sight(feature_m), residual_m[:, :3]
+    sight = _sight(feature_m)
     along = np.sum(residual_m * sight, axis=1)
     across = np.linalg.norm(residual_m - along[:, None] * sight, axis=1)
     # medians of a normal and of a Rayleigh distribution
@@ -436,17 +443,28 @@ def _sight(feature_m: np.ndarray) -> np.ndarray:
 
 
 def whitening(residual_m: np.ndarray, feature_m: np.ndarray) -> np.ndarray:
-    """Matrices (k, m, m) that turn residuals into standard deviations."""
-    ray_m, lateral_m = noise_by_direction(residual_m, feature_m)
+    """Matrices (k, m, m) that turn residuals into standard deviations.
+
+    Shifts and turns have another noise along the line of sight than across it.
+    """
     sight = _sight(feature_m)
     along = sight[:, :, None] * sight[:, None, :]
-    of_point = along / ray_m + (np.eye(3) - along) / lateral_m
+
+    def by_noise(residual_m: np.ndarray) -> tuple[np.ndarray, float]:
+        ray_m, lateral_m = noise_by_direction(residual_m, feature_m)
+        return along / ray_m + (np.eye(3) - along) / lateral_m, lateral_m
+
     images, size = residual_m.shape
-    if size == 3:
-        return np.asarray(of_point)
-    axis_m = max(float(np.median(np.abs(residual_m[:, 3:]))) / 0.6745, 1e-6)
     whole = np.zeros((images, size, size))
-    whole[:, :3, :3], whole[:, 3:, 3:] = of_point, np.eye(size - 3) / axis_m
+    whole[:, :3, :3] = by_noise(residual_m[:, :3])[0]
+    if size > 3:
+        # Motions of the axes by turns, (k, 9, 3): orthonormal columns.
+        axes = feature_m[:, 3:].reshape(images, -1, 3)
+        turns = -cross_matrix(axes).reshape(images, size - 3, 3)
+        turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+        back = np.swapaxes(turns, 1, 2)
+        of_turn, lateral_m = by_noise((back @ residual_m[:, 3:, None])[..., 0])
+        whole[:, 3:, 3:] = (np.eye(size - 3) - turns @ back) / lateral_m + turns @ of_turn @ back
     return whole
 
 

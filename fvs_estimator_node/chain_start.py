@@ -26,6 +26,8 @@ STILL_RAD = 1e-3
 #: A prismatic joint moves the ball by its own travel, within this share, and turns the slopes of
 #: the joints from it on by less than this per unit of travel, rad.
 _SHIFTS, _TURNS = 0.1, 0.3
+#: Prior deviation of a derivative of the position, of any order, m.
+_REACH_M = 1.0
 #: Passes of the robust regression.
 _PASSES = 6
 #: Largest number of images in a fit, and size of the blocks they are taken in: more images change
@@ -100,10 +102,11 @@ def regress(
     design = np.stack([np.prod(d[:, list(term)], axis=1) for term in terms], axis=1)
     scale = np.sqrt(np.mean(design**2, axis=0))
     design /= scale
-    weight = np.ones(len(d))
+    weight, typical_m = np.ones(len(d)), _REACH_M * float(np.median(scale[1:]))
     for _ in range(_PASSES):
         rows = design * weight[:, None]
-        gram = rows.T @ rows + 1e-6 * len(d) * np.eye(len(terms))
+        # No derivative is above the arm's reach: where joints moved alike, others would fit, too.
+        gram = rows.T @ rows + np.diag((typical_m / (_REACH_M * scale)) ** 2)
         solution = np.linalg.solve(gram, rows.T @ (ball_m * weight[:, None]))
         distance = np.linalg.norm(ball_m - design @ solution, axis=1)
         typical_m = max(float(np.median(distance)), 1e-6)

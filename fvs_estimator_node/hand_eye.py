@@ -1,15 +1,14 @@
 """Where the camera is: the fitted chain, registered with the arm's URDF. No ROS, no clock.
 
 A chain that was fitted to images (:mod:`fvs_estimator_node.chain_fit`) has the arm's axes as lines
-in the camera's frame; the URDF has them in its root's. The turn that takes one to the other comes
-from their directions, the shift from their places. From there on robust least squares on the images
-find camera, place of ball or tag on the tip, delay of the images, scale of the camera and zeros of
-the joints together. A camera that is carried by the arm and looks at something fixed is the same
-with the chain read from its other end.
+in the camera's frame; the URDF has them in its root's. Their directions give the rotation from one
+to the other, their places the shift. From there on robust least squares on the images find all
+unknowns of :class:`~fvs_estimator_node.hand_eye_model.Unknowns` together, each with a prior. A
+camera that is carried by the arm and looks at something fixed is the same with the chain read from
+its other end.
 
-How far zeros and links are from the URDF is not known before. So the result is the mean over many
-such sizes, weighted by how well each explains the images (Bayesian model averaging): with an exact
-URDF zeros and links hold still and the camera is known well, with a poor one its covariance grows.
+How far zeros, encoders, links and lens may be off is not known before. So the result is averaged
+over prior deviations of all of them, weighted by evidence (Bayesian model averaging).
 
 A camera cannot tell the zero of the first joint from its own place, nor that of the last joint from
 the place of ball or tag: both zeros count as exact.
@@ -19,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
 
@@ -34,7 +34,7 @@ from fvs_estimator_node.calibration import (
     Displaced,
     Remedy,
 )
-from fvs_estimator_node.chain_fit import ChainFit, fit_chain, inliers, whitening
+from fvs_estimator_node.chain_fit import ChainFit, fit_chain, inliers, noise_by_direction, whitening
 from fvs_estimator_node.chain_start import MAX_OFFSET_S
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.hand_eye_checks import find_move, length, ordered, refusal
@@ -43,24 +43,40 @@ from fvs_estimator_node.hand_eye_start import still_fit
 from fvs_ros.chain import cross_matrix
 from fvs_ros.urdf import Kinematics
 
-#: Prior deviations: of the images' delay, s; of all else, from where the registration puts it, m
-#: and rad; of the camera's focal length over that of its scale.
-_DELAY_S, _ANYWHERE, _FOCAL = 0.1, 1.0, 0.1
-#: Those of zeros, rad (m), links, m, and the camera's scale that are tried, all as likely, the
-#: widest first. No camera's scale is better than the last: where links are off, too, the images
-#: cannot tell the two apart. They tell a zero that they know better than half the first.
-_ZEROS_RAD, _LINKS_M = np.geomspace(0.05, 2e-5, 9), np.geomspace(0.02, 2e-6, 9)
-_SCALES = np.geomspace(0.05, 0.003, 3)
-_WIDEST = _ZEROS_RAD[0], _LINKS_M[0], _SCALES[0]
-#: That of zeros and links, rad and m, of a hand whose pose is measured.
-_EXACT = 1e-6
+#: Prior deviations: of the images' delay, s; of camera and carried, from where the registration
+#: puts them, m and rad.
+_DELAY_S, _ANYWHERE = 0.1, 1.0
+
+
+class _Sizes(NamedTuple):
+    """Prior deviations of what may be off."""
+
+    zeros_rad: float  # m for a prismatic joint
+    encoders: float
+    links_m: float
+    scale: float
+    lens: float  # of the focal length; of the distortion ten times as much
+
+
+#: Those that are tried, all as likely, the widest first; the last is as good as exact. No camera's
+#: scale is: where links are off, too, the images cannot tell the two apart.
+_TRIED = {
+    "zeros_rad": (0.05, 0.005, 5e-4, 5e-5),
+    "encoders": (0.005, 5e-4, 1e-6),
+    "links_m": (0.01, 0.002, 4e-4, 1e-6),
+    "scale": (0.05, 0.012, 0.003),
+    "lens": (0.02, 0.002, 1e-5),
+}
+_WIDEST, _EXACT = (_Sizes(*(some[which] for some in _TRIED.values())) for which in (0, -1))
 #: A link's turn, rad, is as likely as its shift over this length, m.
 _LINK_LENGTH_M = 0.5
 #: Links are off if that explains the images so much better, logarithm of the likelihoods' ratio.
 _SURE = 5.0
-#: Blocks of images, s: residuals within one may be alike. Of an error that all images share, such
-#: as a detector's bias, no residual tells; it counts as this share of an image's noise.
-_BLOCK_S, _COMMON = 2.0, 0.3
+#: Blocks of images, s: residuals within one may be alike.
+_BLOCK_S = 2.0
+#: A detector's bias over what neighbouring images share: with less, too few of rendered images'
+#: calibrations are within their 95 % ellipsoids (21 of 24 with 4, 23 with this, 14 with 1).
+_COMMON = 5.0
 #: Largest length of a residual over its noise, for a robust fit.
 _ROBUST = 2.0
 #: Of images this far from the model, as a share of how far they are apart, nothing is explained.
@@ -69,8 +85,8 @@ _UNEXPLAINED = 0.2
 _WRONG = 3.0
 #: A delay of this share of the longest that is searched is longer.
 _LATEST = 0.95
-#: The free chain is at a wrong optimum if the URDF's is this much nearer to the images.
-_BETTER = 0.7
+#: Linearisations about the mean.
+_ROUNDS = 2
 
 
 def calibrate(
@@ -110,7 +126,7 @@ def calibrate(
     say("registering the chain with the URDF")
     with threadpool_limits(1):
         one = _Calibrating(data, arm, fit)
-        values, off = one.solve_twice()
+        values, off = one.solve()
         moved = one.find_move()
         if moved is None:
             raise refusal(given, arm)
@@ -119,7 +135,7 @@ def calibrate(
         one.check_directions(values, off)
         if length(off) > _UNEXPLAINED * length(data.ball_m - data.ball_m.mean(axis=0)):
             raise refusal(given, arm)
-        return one.told(values, off)
+        return one.told(values, carries_camera)
 
 
 class _Posterior(NamedTuple):
@@ -130,9 +146,11 @@ class _Posterior(NamedTuple):
     #: What the images alone tell: ``square x = pull`` is the least-squares solution.
     square: np.ndarray
     pull: np.ndarray
-    #: Likeliest deviations of zeros, rad (m), links, m, and scale; variance of a white residual.
-    sizes: tuple[float, float, float]
+    #: Likeliest prior deviations, and variance of a white residual.
+    sizes: _Sizes
     noise: float
+    #: Variance of what neighbouring images share, over that of one.
+    shared: float
     #: Logarithm of the likelihood with links of that deviation, over that with exact ones.
     unlikely: float
 
@@ -145,56 +163,55 @@ class _Calibrating:
         self._model = model = HandEyeModel(data, arm, fit)
         self._seen, self._at = model.seen, model.at
         joints = model.path.joints_and_velocities(fit.time_offset_s)[0]
-        self._free_off = fit.chain.position(joints) - self._seen
-        self._white = whitening(self._free_off, self._seen)
+        self._off = fit.chain.position(joints) - self._seen
+        self._white = whitening(self._off, self._seen)
 
-    def _deviation(self, zero_rad: float, link_m: float, scale: float) -> np.ndarray:
+    def _deviation(self, sizes: _Sizes) -> np.ndarray:
         """Prior deviations of the unknowns."""
         at, deviation = self._at, np.full(self._at.size, _ANYWHERE)
-        deviation[at.delay], deviation[at.scale] = _DELAY_S, scale
-        deviation[at.focal] = _FOCAL * scale
-        deviation[at.zeros] = zero_rad
-        turn, shift = [link_m / _LINK_LENGTH_M] * 3, [link_m] * 3
-        deviation[at.links] = np.resize([*turn, *shift], deviation[at.links].size)
-        if self._arm.exact:
-            deviation[at.zeros] = deviation[at.links] = _EXACT
+        deviation[at.delay], deviation[at.scale] = _DELAY_S, sizes.scale
+        deviation[at.focal], deviation[at.radial] = sizes.lens, 10.0 * sizes.lens
+        deviation[at.zeros], deviation[at.encoders] = sizes.zeros_rad, sizes.encoders
+        link = np.repeat([sizes.links_m / _LINK_LENGTH_M, sizes.links_m], 3)
+        deviation[at.links] = np.resize(link, deviation[at.links].size)
+        if self._arm.exact:  # a hand whose pose is measured
+            for some in (at.zeros, at.encoders, at.links):
+                deviation[some] = _EXACT.links_m
         return deviation
 
-    def solve(
-        self, evaluations: int = 50, start: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def solve(self, evaluations: int = 50) -> tuple[np.ndarray, np.ndarray]:
         """The unknowns, with the links of the URDF, and how far the images are, m, (k, m)."""
         free = self._at.links.start
-        deviation = self._deviation(*_WIDEST)[:free]
+        deviation = self._deviation(_WIDEST)[:free]
 
         def whole(values: np.ndarray) -> np.ndarray:
             return np.append(values, np.zeros(self._at.size - free))
 
-        def residuals(values: np.ndarray) -> np.ndarray:
-            off = self._model.features(whole(values)) - self._seen
-            return np.append(self._white @ off[..., None], values / deviation)
+        @lru_cache(maxsize=1)
+        def both(content: bytes) -> tuple[np.ndarray, np.ndarray]:
+            values = np.frombuffer(content)
+            seen, slopes = self._model.seen_and_slopes(whole(values))
+            off, rows = self._white @ (seen - self._seen)[..., None], self._white @ slopes
+            return (
+                np.append(off, values / deviation),
+                np.concatenate([rows[..., :free].reshape(-1, free), np.diag(1.0 / deviation)]),
+            )
 
-        if start is None:
-            start = np.zeros(free)
-            start[self._at.delay] = self._fit.time_offset_s
+        start = np.zeros(free)
+        start[self._at.delay] = self._fit.time_offset_s
         found = least_squares(
-            residuals,
-            start[:free],
+            lambda values: both(values.tobytes())[0],
+            start,
+            lambda values: both(values.tobytes())[1],
             loss="soft_l1",
             f_scale=_ROBUST,
             x_scale="jac",
             max_nfev=evaluations,
         )
         values = whole(found.x)
-        return values, self._model.features(values) - self._seen
-
-    def solve_twice(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same, where need be with the noise that it shows."""
-        values, off = self.solve()
-        if length(off) < _BETTER * length(self._free_off):
-            # In much noise the free chain may have one axis on the wrong side.
-            self._free_off, self._white = off, whitening(off, self._seen)
-            values, off = self.solve(start=values)
+        off = self._model.seen_and_slopes(values)[0] - self._seen
+        if length(off) < length(self._off):  # the free chain may be at a wrong optimum
+            self._off, self._white = off, whitening(off, self._seen)
         return values, off
 
     def find_move(self) -> str | None:
@@ -202,7 +219,7 @@ class _Calibrating:
         if self._data.still:  # too few to tell
             return ""
         return find_move(
-            self._free_off[:, :3],
+            self._off[:, :3],
             self._seen[:, :3],
             self._white[:, :3, :3],
             self._model.path.stamps_s,
@@ -213,7 +230,7 @@ class _Calibrating:
         """Distance of the typical image, over that from the free chain."""
         here, free = (
             np.median(np.linalg.norm(self._white @ one[..., None], axis=1))
-            for one in (off, self._free_off)
+            for one in (off, self._off)
         )
         return float(here / free)
 
@@ -238,32 +255,41 @@ class _Calibrating:
                     "its encoder"
                 )
 
-    def told(self, values: np.ndarray, off: np.ndarray) -> Calibration:
+    def told(self, values: np.ndarray, carries_camera: bool) -> Calibration:
         """The calibration about the unknowns that were solved for."""
         at, arm, model = self._at, self._arm, self._model
-        good = inliers(off, self._seen)
-        rows = (self._white @ model.slopes(values))[good]
-        found = self._posterior(values, (self._white @ off[..., None])[good, :, 0], rows, good)
-        off = model.features(found.mean) - self._seen
+        for _ in range(_ROUNDS):
+            seen, slopes = model.seen_and_slopes(values)
+            off = seen - self._seen
+            good = inliers(off, self._seen)
+            rows = (self._white @ slopes)[good]
+            white = (self._white @ off[..., None])[good, :, 0]
+            found = self._posterior(values, white, rows, good)
+            values, off = found.mean, off + slopes @ (found.mean - values)
+            self._off, self._white = off, whitening(off, self._seen)
         deviations, zeros = np.sqrt(np.diag(found.covariance)), np.zeros(len(arm.names))
-        zeros[1:-1] = found.mean[at.zeros]
-        rotation, shift = model.camera(found.mean)
-        carried_m, carried_rotation = model.on_tip(found.mean)
+        zeros[1:-1] = values[at.zeros]
+        rotation, shift = model.camera(values)
+        carried_m, carried_rotation = model.on_tip(values)
         result = Calibration(
             arm=arm,
             camera=self._data.feature_frame,
             # x_arm = R' (x_cam - shift)
             rotation=rotation.T,
             translation_m=-rotation.T @ shift,
-            covariance=self._of_camera(found.mean, found.covariance),
+            covariance=self._of_camera(values, found.covariance),
             carried_m=carried_m,
             carried_rotation=carried_rotation,
-            delay_s=float(found.mean[at.delay]),
+            delay_s=float(values[at.delay]),
             delay_deviation_s=float(deviations[at.delay]),
-            scale=float(np.exp(found.mean[at.scale])),
+            scale=float(np.exp(values[at.scale])),
             scale_deviation=float(deviations[at.scale]),
-            focal=float(np.exp(found.mean[at.focal])),
+            focal=float(np.exp(values[at.focal])),
             focal_deviation=float(deviations[at.focal]),
+            radial=float(values[at.radial]),
+            radial_deviation=float(deviations[at.radial]),
+            encoders=values[at.encoders],
+            encoders_deviation=deviations[at.encoders],
             zeros_rad=zeros,
             zeros_deviation_rad=self._of_zeros(deviations, found.square, found),
             residual_m=length(off),
@@ -271,7 +297,7 @@ class _Calibrating:
             seen_m=self._seen[:, :3],
             residuals_m=off[:, :3],
             outliers=int(np.count_nonzero(~good)),
-            displaced=self._displaced(found),
+            displaced=self._displaced(found, carries_camera),
         )
         if result.verdict[0] == "good" and np.isfinite(result.zeros_deviation_rad[1:-1]).all():
             return result
@@ -283,70 +309,78 @@ class _Calibrating:
         self, values: np.ndarray, off: np.ndarray, rows: np.ndarray, good: np.ndarray
     ) -> _Posterior:
         """Mean over all sizes of zeros and links, by white residuals (k, m) and their slopes."""
-        square = np.einsum("kmi,kmj->ij", rows, rows)
+        square = _square(rows)
         pull = square @ values - np.einsum("kmi,km->i", rows, off)
-        weak = np.diag(self._deviation(*_WIDEST) ** -2.0)
-        best = np.linalg.solve(square + weak, pull)
-        rest = off + rows @ (best - values)
-        noise = self._noise(square + weak, rows, rest, self._model.path.stamps_s[good])
-        sizes, means, spreads, evidence = [*product(_ZEROS_RAD, _LINKS_M, _SCALES)], [], [], []
-        for size in sizes:
-            precision = noise * self._deviation(*size) ** -2.0
-            known = square + np.diag(precision)
-            means.append(np.linalg.solve(known, pull))
-            spreads.append(noise * _inverse(known))
-            evidence.append(
-                0.5 * means[-1] @ pull / noise
-                + 0.5 * np.log(precision).sum()
-                - 0.5 * np.linalg.slogdet(known)[1]
-            )
-        weights = np.exp(evidence - np.max(evidence))
-        mean = np.average(means, axis=0, weights=weights)
-        covariance = np.average(
-            np.array(spreads) + np.einsum("si,sj->sij", means - mean, means - mean),
-            axis=0,
-            weights=weights,
+        weak, exact = (
+            square + np.diag(self._deviation(sizes) ** -2.0)
+            for sizes in (_WIDEST, _EXACT._replace(zeros_rad=_WIDEST.zeros_rad))
         )
-        of_links = np.reshape(evidence, (len(_ZEROS_RAD), len(_LINKS_M), -1)).max(axis=(0, 2))
+        rest = off + rows @ (np.linalg.solve(weak, pull) - values)
+        pulls = np.einsum("kmi,km->ki", rows, rest)
+        noise, shared = self._noise(exact, square, pulls, self._model.path.stamps_s[good])
+        tried = [_Sizes(*some) for some in product(*_TRIED.values())]
+        precisions = noise * np.array([self._deviation(sizes) for sizes in tried]) ** -2.0
+        known = square + precisions[:, None] * np.eye(len(square))
+        lower = np.linalg.cholesky(known)
+        halves = np.linalg.solve(lower, np.broadcast_to(pull[:, None], (len(tried), len(pull), 1)))
+        evidence = (
+            0.5 * np.sum(halves**2, axis=(1, 2)) / noise
+            + 0.5 * np.log(precisions).sum(axis=1)
+            - np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+        )
+        weights = np.exp(evidence - np.max(evidence))
+        some = weights > 1e-3
+        inverse, weights = np.linalg.inv(known[some]), weights[some] / weights[some].sum()
+        means = inverse @ pull
+        mean = weights @ means
+        spread = (means - mean) * np.sqrt(weights)[:, None]
+        covariance = noise * np.einsum("s,sij->ij", weights, inverse) + spread.T @ spread
+        links = np.array([sizes.links_m for sizes in tried])
+        exact_links = evidence[links == _EXACT.links_m].max()
+        likeliest = int(np.argmax(evidence))
         return _Posterior(
-            mean,
-            covariance + self._common(self._seen),
-            square,
-            pull,
-            sizes[int(np.argmax(evidence))],
-            noise,
-            float(of_links.max() - of_links[-1]),
+            mean=mean,
+            covariance=covariance + self._common(self._seen, shared),
+            square=square,
+            pull=pull,
+            sizes=tried[likeliest],
+            noise=noise,
+            shared=shared,
+            unlikely=float(evidence[likeliest] - exact_links),
         )
 
     def _noise(
-        self, known: np.ndarray, rows: np.ndarray, off: np.ndarray, stamps_s: np.ndarray
-    ) -> float:
-        """Variance of the estimate over that by independent residuals: jackknife over blocks.
+        self, known: np.ndarray, square: np.ndarray, pulls: np.ndarray, stamps_s: np.ndarray
+    ) -> tuple[float, float]:
+        """Variance of the estimate over that by white residuals, and of what neighbours share.
 
-        Errors of images that are near to each other, in time and in place, are alike.
+        Residuals of images that are near to each other are alike: sums over blocks of time scatter
+        more than those of single images. Takes the pulls of all images, (k, unknowns).
         """
-        block = np.unique(np.floor(stamps_s / _BLOCK_S), return_inverse=True)[1]
-        total = 0.0
-        for number in range(block.max() + 1):
-            some = block == number
-            part = np.einsum("kmi,kmj->ij", rows[some], rows[some])
-            pull = np.einsum("kmi,km->i", rows[some], off[some])
-            change = np.linalg.solve(known - part, pull)
-            total += change @ known @ change
-        return max(1.0, total / rows.shape[2])
+        blocks = np.unique(np.floor(stamps_s / _BLOCK_S), return_index=True)[1]
+        count = np.trace(np.linalg.solve(known, square))
+        by_block, by_image = (
+            float(np.trace(np.linalg.solve(known, some.T @ some)) / count)
+            for some in (np.add.reduceat(pulls, np.sort(blocks)), pulls)
+        )
+        shared = max(0.0, by_block - by_image) * len(blocks) / len(pulls)
+        return max(1.0, by_block), shared
 
-    def _common(self, seen: np.ndarray) -> np.ndarray:
-        """Covariance of the unknowns by an error that all images have in common."""
+    def _common(self, seen: np.ndarray, shared: float) -> np.ndarray:
+        """Covariance of the unknowns by an error that all images have in common.
+
+        Of a detector's bias no residual tells. It counts as what neighbouring images share.
+        """
         middle = self._model.middle
         sight = middle / np.linalg.norm(middle)
         along = np.outer(sight, sight)
-        ray_m, lateral_m = self._fit.ray_noise_m, self._fit.lateral_noise_m
+        ray_m, lateral_m = noise_by_direction(self._off[:, :3], self._seen)
         spread_m = float(np.linalg.norm(seen[:, :3].std(axis=0)))
         common = np.zeros((self._at.size, self._at.size))
         common[self._at.shift, self._at.shift] = ray_m**2 * along
         common[self._at.shift, self._at.shift] += lateral_m**2 * (np.eye(3) - along)
         common[self._at.turn, self._at.turn] = (lateral_m / spread_m) ** 2 * np.eye(3)
-        return _COMMON**2 * common
+        return _COMMON**2 * shared * common
 
     def _of_camera(self, values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Covariance of the camera's place and turn in the arm's frame, from the unknowns'."""
@@ -360,26 +394,30 @@ class _Calibrating:
         self, deviations: np.ndarray, square: np.ndarray, found: _Posterior
     ) -> np.ndarray:
         """Deviations of the joints' zeros, rad (m); infinite where the images tell nothing."""
-        prior = self._deviation(_ZEROS_RAD[0], *found.sizes[1:]) ** -2.0
+        prior = self._deviation(found.sizes._replace(zeros_rad=_WIDEST.zeros_rad)) ** -2.0
         by_images = np.sqrt(np.diag(_inverse(square / found.noise + np.diag(prior))))
         told = np.full(len(self._arm.names), np.inf)
-        unsure = by_images[self._at.zeros] > 0.5 * _ZEROS_RAD[0]
+        unsure = by_images[self._at.zeros] > 0.5 * _WIDEST.zeros_rad
         told[1:-1] = np.where(unsure, np.inf, deviations[self._at.zeros])
         return told
 
-    def _displaced(self, found: _Posterior) -> Displaced | None:
-        """The joint at which a displaced rest of the arm explains most, if links are off."""
+    def _displaced(self, found: _Posterior, carries_camera: bool) -> Displaced | None:
+        """The joints at which a displaced rest of the arm explains most, if links are off."""
         if found.unlikely < _SURE:
             return None
         free, square, pull = self._at.links.start, found.square, found.pull
-        prior = found.noise * self._deviation(*_WIDEST) ** -2.0
+        prior = found.noise * self._deviation(_WIDEST) ** -2.0
+        # The URDF places each joint on the one before it: read from the tip, the joint after it.
+        names = self._arm.names[:-1] if carries_camera else self._arm.names[1:]
         tried = []
-        for i, name in enumerate(self._arm.names[1:]):
+        for i, name in enumerate(names):
             some = np.append(np.arange(free), free + 6 * i + np.arange(6))
             one = np.linalg.solve(square[np.ix_(some, some)] + np.diag(prior[some]), pull[some])
             turn_rad, shift_m = (float(np.linalg.norm(part)) for part in np.split(one[free:], 2))
-            tried.append((one @ pull[some], Displaced(name, shift_m, turn_rad)))
-        best = max(tried, key=lambda one: one[0])[1]
+            tried.append((one @ pull[some] / found.noise, Displaced(name, shift_m, turn_rad)))
+        most, best = max(tried, key=lambda one: one[0])
+        alike = [one.joint for gain, one in tried if gain > most - 2.0 * _SURE]
+        best = best._replace(joint=" or ".join(alike[::-1] if carries_camera else alike))
         # Less is what a detector's bias looks like.
         return best if best.shift_m > 0.5 * GOOD[0] or best.turn_rad > GOOD[1] else None
 
@@ -399,18 +437,27 @@ class _Calibrating:
             for i, factor in zip(moved, further, strict=True)
         ]
         longer = ("move four times as long", np.ones(n))
-        precision = np.diag(self._deviation(*found.sizes) ** -2.0)
+        precision = np.diag(self._deviation(found.sizes) ** -2.0)
         for words, wider in (*tried, longer, ("move all joints twice as far", np.full(n, 2.0))):
             some = 2.0 * rows
             if words != longer[0]:
-                some = (self._white @ self._model.slopes(found.mean, wider))[good]
-            square = np.einsum("kmi,kmj->ij", some, some)
+                some = (self._white @ self._model.seen_and_slopes(found.mean, wider)[1])[good]
+            square = _square(some)
             covariance = _inverse(square / found.noise + precision)
-            covariance += self._common(self._model.features(found.mean, wider))
+            covariance += self._common(
+                self._model.seen_and_slopes(found.mean, wider)[0], found.shared
+            )
             of_camera = self._of_camera(found.mean, covariance)
             place_m, turn_rad = (np.sqrt(np.trace(of_camera[k : k + 3, k : k + 3])) for k in (0, 3))
             zeros = self._of_zeros(np.sqrt(np.diag(covariance)), square, found)
             yield Remedy(words, float(place_m), float(turn_rad), zeros)
+
+
+def _square(rows: np.ndarray) -> np.ndarray:
+    """Information of white rows, (k, m, unknowns); no less than rounding, to stay positive."""
+    flat = rows.reshape(-1, rows.shape[2])
+    square = flat.T @ flat
+    return np.asarray(square + 1e-14 * square.diagonal().max() * np.eye(len(square)))
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:

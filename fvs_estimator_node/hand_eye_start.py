@@ -28,7 +28,7 @@ def still_fit(data: DataSet, arm: Kinematics) -> ChainFit:
     chain = registered(data, arm)
     off_m = chain.position(data.joints_rad) - data.ball_m
     residual_m = float(np.median(np.linalg.norm(off_m[:, :3], axis=1)))
-    ray_noise_m, lateral_noise_m = noise_by_direction(off_m, data.ball_m)
+    ray_noise_m, lateral_noise_m = noise_by_direction(off_m[:, :3], data.ball_m)
     coordinates = Chart(chain).size
     return ChainFit(
         chain=chain,

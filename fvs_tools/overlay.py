@@ -42,7 +42,7 @@ def arm_px(found: Calibration, joints_rad: np.ndarray, camera: Intrinsics) -> np
 
     At reported joints, rad, (n,); NaN for what is behind the camera.
     """
-    joints = joints_rad + found.zeros_rad
+    joints = found.true_joints(joints_rad)
     turn, tip_m = found.arm.tip_at(joints)  # rows: the tip's axes
     points_m = np.vstack([found.arm.at(joints)[0], tip_m, tip_m + found.carried_m @ turn])
     return _px(found.seen(points_m), camera)
@@ -96,7 +96,7 @@ def _draw_arm(seen: Any, found: Calibration, data: DataSet, photo: Photograph | 
         seen.set(xlabel="x / z", ylabel="y / z", title="the URDF's arm, as the camera sees it")
         seen.invert_yaxis()
         seen.set_aspect("equal")
-    points_m, axes = found.arm.at(at + found.zeros_rad)
+    points_m, axes = found.arm.at(found.true_joints(at))
     for i, (name, axis, point_m) in enumerate(zip(found.arm.names, axes, points_m, strict=True)):
         ends = _px(found.seen(point_m + np.array([[-_HALF_M], [_HALF_M]]) * axis), camera)
         seen.plot(*ends.T, linewidth=2.5, color=f"C{i}", label=name)
