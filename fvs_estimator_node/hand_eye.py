@@ -364,7 +364,8 @@ class _Calibrating:
             for some in (np.add.reduceat(pulls, np.sort(blocks)), pulls)
         )
         shared = max(0.0, by_block - by_image) * len(blocks) / len(pulls)
-        return max(1.0, by_block), shared
+        numbers = len(pulls) * len(self._data.servoed.task_scale)
+        return max(1.0, by_block * numbers / max(numbers - count, 1.0)), shared
 
     def _common(self, seen: np.ndarray, shared: float) -> np.ndarray:
         """Covariance of the unknowns by an error that all images have in common.
