@@ -346,44 +346,20 @@ class _Fitting:
         chart = Chart(begin.chain)
         deviation = np.full(chart.size, _PRIOR)
         deviation[OFFSET] = _OFFSET_PRIOR_S
-        white, residual_count = whitening[images], len(images) * self._ball.shape[1]
 
-        @lru_cache(maxsize=1)
-        def both(content: bytes) -> tuple[np.ndarray, np.ndarray]:
-            """Residuals of images and of the prior in standard deviations, and their slopes."""
-            values = np.frombuffer(content)
+        def white(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             joints, velocity = self._path.joints_and_velocities(float(values[OFFSET]))
-            try:
-                residual, slope = residuals_and_slopes(
-                    chart, values, joints[images], velocity[images], self._ball[images]
-                )
-            except ValueError:  # no chain: a step too far, which is then made shorter
-                return np.full(residual_count + chart.size, np.inf), np.empty(0)
-            slopes = (white @ slope).reshape(-1, chart.size)
-            return (
-                np.append(white @ residual[..., None], values / deviation),
-                np.concatenate([slopes, np.diag(1.0 / deviation)]),
+            residual, slope = residuals_and_slopes(
+                chart, values, joints[images], velocity[images], self._ball[images]
             )
+            return whitening[images] @ residual[..., None], whitening[images] @ slope
 
         first = np.zeros(chart.size)
         first[OFFSET] = begin.offset_s
         limit = np.full(chart.size, np.inf)
         limit[OFFSET] = MAX_OFFSET_S
-        solution = least_squares(
-            lambda values: both(values.tobytes())[0],
-            np.clip(first, -0.99 * limit, 0.99 * limit),
-            lambda values: both(values.tobytes())[1],
-            bounds=(-limit, limit),
-            loss="soft_l1",
-            f_scale=scale,
-            max_nfev=evaluations,
-            ftol=1e-6,
-            xtol=1e-7,
-            gtol=1e-10,
-            x_scale=deviation,
-        )
-        found = solution.x
-        return _Found(chart.chain(found), float(found[OFFSET]), float(solution.cost) / len(images))
+        found, cost = robust_optimum(white, first, deviation, scale, evaluations, limit)
+        return _Found(chart.chain(found), float(found[OFFSET]), cost / len(images))
 
     def _distances_m(self, residual: np.ndarray) -> tuple[float, float]:
         """Median length of the residuals, and of their noise part, m.
@@ -421,6 +397,58 @@ class _Fitting:
         unfitted = np.outer(change, change) - wider
         unfitted[: chart.size, : chart.size] += covariance
         return covariance, unfitted
+
+
+def robust_optimum(
+    white: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    start: np.ndarray,
+    deviation: np.ndarray,
+    scale: float,
+    evaluations: int,
+    limit: np.ndarray | float = np.inf,
+) -> tuple[np.ndarray, float]:
+    """The optimum of residuals and of a prior about zero, and its cost.
+
+    Parameters
+    ----------
+    white : callable
+        Residuals in standard deviations, k of them in all, and their slopes, (..., p), at unknowns,
+        (p,); a ValueError after a step too far, which is then made shorter.
+    start, deviation, limit : ndarray, shape (p,)
+        Of the unknowns: where to begin, prior deviation, and largest size.
+    scale : float
+        Residuals above it have a decreasing weight.
+    evaluations : int
+        At most.
+    """
+    numbers = 0
+
+    @lru_cache(maxsize=1)
+    def both(content: bytes) -> tuple[np.ndarray, np.ndarray]:
+        nonlocal numbers
+        values = np.frombuffer(content)
+        try:
+            residual, slopes = white(values)
+        except ValueError:
+            return np.full(numbers, np.inf), np.empty(0)
+        residual = np.append(residual, values / deviation)
+        numbers = len(residual)
+        return residual, np.append(slopes, np.diag(1.0 / deviation)).reshape(numbers, -1)
+
+    solution = least_squares(
+        lambda values: both(values.tobytes())[0],
+        np.clip(start, -0.99 * limit, 0.99 * limit),
+        lambda values: both(values.tobytes())[1],
+        bounds=(-np.broadcast_to(limit, start.shape), np.broadcast_to(limit, start.shape)),
+        loss="soft_l1",
+        f_scale=scale,
+        max_nfev=evaluations,
+        ftol=1e-6,
+        xtol=1e-7,
+        gtol=1e-10,
+        x_scale=deviation,
+    )
+    return solution.x, float(solution.cost)
 
 
 def noise_by_direction(residual_m: np.ndarray, feature_m: np.ndarray) -> tuple[float, float]:

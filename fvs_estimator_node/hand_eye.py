@@ -18,12 +18,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.calibration import (
@@ -34,7 +32,14 @@ from fvs_estimator_node.calibration import (
     Displaced,
     Remedy,
 )
-from fvs_estimator_node.chain_fit import ChainFit, fit_chain, inliers, noise_by_direction, whitening
+from fvs_estimator_node.chain_fit import (
+    ChainFit,
+    fit_chain,
+    inliers,
+    noise_by_direction,
+    robust_optimum,
+    whitening,
+)
 from fvs_estimator_node.chain_start import MAX_OFFSET_S
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.hand_eye_checks import find_move, length, ordered, refusal
@@ -187,28 +192,15 @@ class _Calibrating:
         def whole(values: np.ndarray) -> np.ndarray:
             return np.append(values, np.zeros(self._at.size - free))
 
-        @lru_cache(maxsize=1)
-        def both(content: bytes) -> tuple[np.ndarray, np.ndarray]:
-            values = np.frombuffer(content)
+        def white(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             seen, slopes = self._model.seen_and_slopes(whole(values))
-            off, rows = self._white @ (seen - self._seen)[..., None], self._white @ slopes
-            return (
-                np.append(off, values / deviation),
-                np.concatenate([rows[..., :free].reshape(-1, free), np.diag(1.0 / deviation)]),
-            )
+            off = self._white @ (seen - self._seen)[..., None]
+            return off, self._white @ slopes[..., :free]
 
         start = np.zeros(free)
         start[self._at.delay] = self._fit.time_offset_s
-        found = least_squares(
-            lambda values: both(values.tobytes())[0],
-            start,
-            lambda values: both(values.tobytes())[1],
-            loss="soft_l1",
-            f_scale=_ROBUST,
-            x_scale="jac",
-            max_nfev=evaluations,
-        )
-        values = whole(found.x)
+        found, _ = robust_optimum(white, start, deviation, _ROBUST, evaluations)
+        values = whole(found)
         off = self._model.seen_and_slopes(values)[0] - self._seen
         if length(off) < length(self._off):  # the free chain may be at a wrong optimum
             self._off, self._white = off, whitening(off, self._seen)
