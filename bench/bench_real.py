@@ -29,6 +29,7 @@ from fvs_detector_node.tags import SQUARE, Tag
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.hand_eye import calibrate
+from fvs_estimator_node.hand_eye_model import tag_by_lens
 from fvs_ros.camera import camera_model
 from fvs_ros.feature import PoseFeature
 from fvs_ros.urdf import Kinematics
@@ -204,11 +205,15 @@ def by_us(one, some):
     exposed_s = data.stamps_s - (0.0 if data.still else found.delay_s)
     columns = data.joints_rad.T[:: -1 if one.on_arm else 1]
     joints = np.array([np.interp(exposed_s, data.stamps_s, column) for column in columns]).T
-    tips = hands_of(found.arm, joints + found.zeros_rad)
+    tips = hands_of(found.arm, found.true_joints(joints))
     target = matrices(found.carried_m[None], Rotation.from_matrix(found.carried_rotation))
     poses = tips @ target
-    places = found.scale * found.seen(poses[:, :3, 3])
-    return matrices(places, Rotation.from_matrix(found.rotation.T @ poses[:, :3, :3])), found
+    places = (poses[:, :3, 3] - found.translation_m) @ found.rotation
+    turns = found.rotation.T @ poses[:, :3, :3]
+    features = np.hstack([places, np.swapaxes(turns, 1, 2).reshape(-1, 9)])
+    by_lens = [np.log(found.focal), found.radial] @ tag_by_lens(features)
+    turned = Rotation.from_rotvec(by_lens[:, 3:]) * Rotation.from_matrix(turns)
+    return matrices(found.scale * (places + by_lens[:, :3]), turned), found
 
 
 def by_opencv(one, some, method):

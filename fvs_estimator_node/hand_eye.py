@@ -310,6 +310,10 @@ class _Calibrating:
         rest = off + rows @ (np.linalg.solve(weak, pull) - values)
         pulls = np.einsum("kmi,km->ki", rows, rest)
         noise, shared = self._noise(exact, square, pulls, self._model.path.stamps_s[good])
+        # Of few images the unknowns take a part of the noise.
+        numbers = len(rest) * len(self._data.servoed.task_scale)
+        spare = numbers - float(np.trace(np.linalg.solve(weak, square)))
+        noise = max(1.0, noise * numbers / max(spare, 1.0))
         tried = [_Sizes(*some) for some in product(*_TRIED.values())]
         precisions = noise * np.array([self._deviation(sizes) for sizes in tried]) ** -2.0
         known = square + precisions[:, None] * np.eye(len(square))
@@ -356,8 +360,7 @@ class _Calibrating:
             for some in (np.add.reduceat(pulls, np.sort(blocks)), pulls)
         )
         shared = max(0.0, by_block - by_image) * len(blocks) / len(pulls)
-        numbers = len(pulls) * len(self._data.servoed.task_scale)
-        return max(1.0, by_block * numbers / max(numbers - count, 1.0)), shared
+        return by_block, shared
 
     def _common(self, seen: np.ndarray, shared: float) -> np.ndarray:
         """Covariance of the unknowns by an error that all images have in common.

@@ -77,7 +77,7 @@ class HandEyeModel:
         carried = fit.chain.feature_m.reshape(-1, 3) @ self._rotation
         carried[0] -= self._shift @ self._rotation
         self._carried = carried.ravel()
-        self._of_lens = _tag_by_lens(self.seen) if self._is_tag else None
+        self._of_lens = tag_by_lens(self.seen) if self._is_tag else None
 
     @property
     def _is_tag(self) -> bool:
@@ -242,7 +242,7 @@ def _adjoint(rotation: np.ndarray, shift_m: np.ndarray) -> np.ndarray:
     return adjoint
 
 
-def _tag_by_lens(seen: np.ndarray) -> np.ndarray:
+def tag_by_lens(seen: np.ndarray) -> np.ndarray:
     """How tags, (k, 12), are shifted, m, and turned, rad, by focal length and distortion.
 
     Shape (k, 2, 6): by the logarithm of the focal length, and by the first coefficient of

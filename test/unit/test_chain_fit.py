@@ -134,6 +134,25 @@ def test_a_wrong_optimum_that_fits_nearly_as_well_is_left():
     assert fit.misfit < 1.05
 
 
+def test_joints_that_moved_alike_mislead_no_start():
+    """A sine each: a cubic regression of free size fits such images by slopes of metres."""
+    rng = np.random.default_rng(6)
+    home = ur5_dh.HOME_RAD + 0.2 * rng.normal(size=6)
+    arm = ur5_chain(home, random_rotation(rng))
+    chain = replace(arm, feature_m=arm.feature_m + 0.04 * arm.axes[4])
+    chain = chain.moved(np.eye(3), np.array([0.0, 0.0, 1.2]) - chain.feature_m)
+    rate, phase = rng.uniform(0.3, 1.2, 6), rng.uniform(0.0, 2.0 * np.pi, 6)
+
+    def joints(time_s):
+        return home + 0.3 * np.sin(rate * time_s[:, None] + phase)
+
+    stamps = np.arange(1800) / 30.0
+    ball = chain.position(joints(stamps - 0.12)) + 1e-4 * rng.normal(size=(1800, 3))
+    fit = fit_chain(DataSet(stamps, joints(stamps), ball, np.zeros(1800, dtype=int)))
+    assert fit.misfit < 1.03
+    assert fit.time_offset_s == pytest.approx(0.12, abs=1e-3)
+
+
 def test_a_joint_that_stood_still_spoils_no_other():
     still = 3
     reach = list(ur5_dh.BOX_M_RAD)
@@ -191,7 +210,7 @@ def test_a_stretch_that_is_far_off_pulls_at_nothing(frozen):
     [
         (lambda data: replace(data, segment=np.arange(len(data)) // 10), "the data set has 0"),
         (lambda data: replace(data, ball_m=1e-4 * data.ball_m), "the ball does not move"),
-        (lambda data: replace(data, ball_m=1e3 * data.ball_m), "holds a number above 100 m"),
+        (lambda data: replace(data, ball_m=1e3 * data.ball_m), "has a place above 100 m"),
     ],
     ids=["no runs", "still", "millimetres"],
 )
