@@ -283,7 +283,7 @@ def justin(folder):
 
 
 NOTES = {
-    "jazzy_apriltag": "the tag's print is bent: its corners are 0.1 to 0.7 px from a square's",
+    "jazzy_apriltag": "by any detector the corners are 0.1 to 0.7 px from those of a square",
     "ur3a_webcams": "authors, one camera, first split: 8.0 mm, without pose 25 5.1 mm and 1.9 deg",
     "ethz_arm": "the stamps are known to be 15 to 20 ms late",
     "justin": "authors: nominal 21 mm, with elasticity 3.1 mm; a chain is rigid",
