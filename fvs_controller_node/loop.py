@@ -98,7 +98,7 @@ class ServoLoop:
             if servoing:
                 unit, most_s = self.supervisor.config.unit, self._drive_lag.most_s
                 scaled = inputs.speed_scaling * velocity / unit
-                self._following.add(stamp_s, scaled, joints / unit, most_s)
+                self._following.add(now_s, stamp_s, scaled, joints / unit, most_s)
             else:
                 self._following.restart()
             self._stamp_s = stamp_s

@@ -135,7 +135,7 @@ class CollectionRun:
             if self.moves:
                 unit = self._config.unit
                 command = self._speed_scaling * self._velocity / unit
-                self._following.add(stamp_s, command, joints_rad / unit)
+                self._following.add(now_s, stamp_s, command, joints_rad / unit)
             else:
                 self._following.restart()
         self._record(self._timeline.add_joints(stamp_s, joints_rad))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +20,10 @@ _ASKED_RAD, _LEAST_SHARE = 0.03, 0.15
 _APART_RAD, _OPEN = 0.015, 20
 #: A look takes a while, so there is one after this much of a joint's path, rad (m).
 _LOOK_RAD = 0.0075
-#: Weight of a joint state when their period is learned.
-_LEARNING = 0.1
+#: Joint states may be late, or apart, by this: at 1 rad/s that is what a comparison leaves, s.
+_SURE_S = 0.025
+#: Weight of a joint state when their period is learned, and what is forgotten of lateness, s per s.
+_LEARNING, _FORGET = 0.1, 0.05
 
 
 class TrackingFault(NamedTuple):
@@ -47,6 +50,7 @@ class Following:
         #: joints and the path, (4, k, n).
         self._begun = np.zeros((4, _OPEN, 0))
         self._period_s = MAX_PERIOD_S  # of the joint states
+        self._least_late_s = inf  # from their stamps to their arrivals
         self.restart()
 
     def restart(self) -> None:
@@ -57,19 +61,25 @@ class Following:
 
     def add(
         self,
+        now_s: float,
         stamp_s: float,
         command_rad_s: np.ndarray,
         joints_rad: np.ndarray,
         lag_s: float = LONGEST_LAG_S,
     ) -> None:
-        """Take a joint state, (n,), and the command in force since the previous one, (n,).
+        """Take a joint state, (n,), its arrival and stamp, and the command in force before, (n,).
 
-        After a gap it begins anew: a velocity goes on in it, but a position stands. ``lag_s`` is
-        the largest lag that the drives may have.
+        After a gap it begins anew: a velocity goes on in it, but a position stands. So it does at
+        a late joint state: commands are late then, too. ``lag_s`` is the largest lag that the
+        drives may have.
         """
         step_s = 0.0 if self._stamp_s is None else stamp_s - self._stamp_s
         self._stamp_s, self._joints = stamp_s, joints_rad
-        gap = not 0.0 < step_s <= MISSING_PERIODS * self._period_s
+        late_s, goes_on = now_s - stamp_s, 0.0 < step_s < 1.0  # no clock has jumped
+        calmer_s = self._least_late_s + _FORGET * step_s if goes_on else inf
+        self._least_late_s = min(late_s, calmer_s)
+        sure_s = max(MISSING_PERIODS * self._period_s, _SURE_S)
+        gap = not (0.0 < step_s <= sure_s and late_s - self._least_late_s <= sure_s)
         self._period_s += _LEARNING * (min(max(step_s, 0.0), MAX_PERIOD_S) - self._period_s)
         if gap:
             self._path.clear()

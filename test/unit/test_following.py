@@ -27,7 +27,8 @@ def follow(seed, lag_s, known_s, dt_s=0.008, gains=1.0, then=None, gaps=(1,)):
         wait -= 1
         if not wait:  # a joint state, and its command
             wait = rng.choice(gaps)
-            following.add(stamp_s, velocity, q + 2e-4 * rng.normal(size=6), known_s)
+            seen = q + 2e-4 * rng.normal(size=6)
+            following.add(stamp_s + 0.001, stamp_s, velocity, seen, known_s)
             step = MOST_RAD_S2 * dt_s
             velocity = velocity + np.clip(goals[int(2.0 * stamp_s)] - velocity, -step, step)
         if following.fault:
@@ -40,6 +41,24 @@ def follow(seed, lag_s, known_s, dt_s=0.008, gains=1.0, then=None, gaps=(1,)):
 @pytest.mark.parametrize(("lag_s", "known_s"), [(0.008, 0.03), (0.04, 0.06), (0.15, 0.2)])
 def test_joints_that_lag_within_what_is_known_follow(seed, gaps, lag_s, known_s):
     assert follow(seed, lag_s, known_s, gaps=gaps)[1] is None
+
+
+def test_a_busy_computer_that_delays_commands_as_much_as_joint_states_stops_no_arm():
+    """A tenth of a second, for a second of ten."""
+    rng, busy = np.random.default_rng(1), Following()
+    velocity, q = np.zeros(6), np.zeros(6)
+    waiting, held = [velocity] * 17, velocity
+    for tick in range(2500):
+        stamp_s = 0.008 * tick
+        late_s = 0.1 if stamp_s % 10.0 > 9.0 else 0.0
+        if tick % 62 == 0:
+            goal = rng.uniform(-FAST, FAST, 6)
+        velocity = velocity + np.clip(goal - velocity, -0.048, 0.048)
+        waiting = [*waiting[1:], velocity]
+        held = waiting[-4] if not late_s or tick % 13 == 0 else held  # then many come at once
+        q = q + 0.008 * held
+        busy.add(stamp_s + late_s, stamp_s, velocity, q, 0.04)
+        assert busy.fault is None, stamp_s
 
 
 @pytest.mark.parametrize("gain", [0.2, 0.9, 1.1])

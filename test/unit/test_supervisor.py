@@ -74,7 +74,7 @@ class Cell:
         place, why, waits = ball if self.located else None, "clocks disagree", np.zeros(6)
         if supervisor.last.state is State.SERVOING:
             asked = self.inputs.speed_scaling * before
-            self.following.add(now_s, asked, self.joints, LAG_S)
+            self.following.add(now_s, now_s, asked, self.joints, LAG_S)
         else:
             self.following.restart()
         present = Present(
