@@ -78,8 +78,8 @@ class Following:
         late_s, goes_on = now_s - stamp_s, 0.0 < step_s < 1.0  # no clock has jumped
         calmer_s = self._least_late_s + _FORGET * step_s if goes_on else inf
         self._least_late_s = min(late_s, calmer_s)
-        sure_s = max(MISSING_PERIODS * self._period_s, _SURE_S)
-        gap = not (0.0 < step_s <= sure_s and late_s - self._least_late_s <= sure_s)
+        apart_s = max(MISSING_PERIODS * self._period_s, _SURE_S)
+        gap = not (0.0 < step_s <= apart_s and late_s - self._least_late_s <= _SURE_S)
         self._period_s += _LEARNING * (min(max(step_s, 0.0), MAX_PERIOD_S) - self._period_s)
         if gap:
             self._path.clear()
@@ -96,8 +96,9 @@ class Following:
         path, time_s = path + step_s * command_rad_s, time_s + step_s
         self._path.add(time_s, path)
         if np.abs(path - self._looked).max() >= _LOOK_RAD:
-            late = self._path.at(time_s - lag_s)
-            self._look(path, (time_s - lag_s) * self._before if late is None else late)
+            then_s = time_s - lag_s - self._period_s  # a command waits for a joint state, too
+            late = self._path.at(then_s)
+            self._look(path, then_s * self._before if late is None else late)
 
     def _look(self, path: np.ndarray, late: np.ndarray) -> None:
         """Compare, with the path now and a lag ago, rad, (n,)."""
