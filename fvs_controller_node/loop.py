@@ -21,7 +21,8 @@ from fvs_controller_node.redundancy import make_inverse
 from fvs_controller_node.supervisor import Command, Present, Supervisor
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
-from fvs_ros.following import Following
+from fvs_ros.following import LONGEST_LAG_S, Following
+from fvs_ros.interface import POSITION
 from fvs_ros.timeline import repeats
 
 #: The estimator publishes the chain more often than this; an older one is not used, and a bad one
@@ -79,9 +80,11 @@ class ServoLoop:
         """Take over changed values while running; nothing changes if one is refused."""
         law = make_law(values)
         follower = make_inverse(values, least_speed=law.plans)
-        follows = ControllerConfig.from_values(values).target_feed_forward
+        own = ControllerConfig.from_values(values)
         self.supervisor.configure(SupervisorConfig.from_values(values))
-        self.law, self._follower, self._follows = law, follower, follows
+        self.law, self._follower, self._follows = law, follower, own.target_feed_forward
+        # What is learned is the lag of velocities; a position drive may take longer.
+        self._least_lag_s = LONGEST_LAG_S if own.command_interface == POSITION else 0.0
         self._following.restart()  # a range may count for another length now
 
     # ---- inputs: arrival times on the steady clock --------------------------------------------
@@ -96,7 +99,8 @@ class ServoLoop:
             velocity, joints = self.supervisor.velocity_rad_s, np.array(joints_rad, dtype=float)
             servoing = self.supervisor.last.state is State.SERVOING
             if servoing:
-                unit, most_s = self.supervisor.config.unit, self._drive_lag.most_s
+                unit = self.supervisor.config.unit
+                most_s = max(self._drive_lag.most_s, self._least_lag_s)
                 scaled = inputs.speed_scaling * velocity / unit
                 self._following.add(now_s, stamp_s, scaled, joints / unit, most_s)
             else:
