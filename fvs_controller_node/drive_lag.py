@@ -24,8 +24,8 @@ from fvs_ros.vectors import largest
 _SLOW_S = 1.0
 #: First guess, s; its weight, and largest weight of all data: integrals of squared speed, rad^2/s.
 _FIRST_S, _FIRST, _MEMORY = 0.03, 0.05, 20.0
-#: The true lag over the learned one, at most: with drives of 0.84 of the commanded speed it was 1.3,
-#: and an arm that follows would be held.
+#: The true lag over the learned one, at most. With drives of 0.84 of the commanded speed it was
+#: 1.3, and an arm that follows was held.
 _DOUBT = 1.5
 #: Averaging time of the constant at rest, s, and the speed that ends averaging, rad/s: above it a
 #: wrong lag would do more harm than encoder noise.
