@@ -97,7 +97,7 @@ class SimNode(ros.FvsNode):
             if not config.publish_ball_position:  # a detector does
                 others.append(self._feature.seen)
             for topic in others:
-                self.subscribe(topic, partial(self._on_answer, topic.name))
+                self.subscribe(topic, partial(self._answer, topic.name))
             self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
         else:
             self._base_s = self.ros_s()
@@ -134,10 +134,7 @@ class SimNode(ros.FvsNode):
             self._late += 1
         return False
 
-    def _on_answer(self, topic: str, _message: Any) -> None:
-        self._answer(topic)
-
-    def _answer(self, topic: str) -> None:
+    def _answer(self, topic: str, _message: Any = None) -> None:
         if self._config.simulated_time:
             self._answered_s[topic] = self._simulated_s()
             self._step_as_fast_as_it_goes()
