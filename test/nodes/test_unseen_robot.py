@@ -47,8 +47,9 @@ def test_a_robot_never_seen_before_is_learned_and_servoed_over_its_topics_alone(
             lambda wanted=wanted: (value("target_x_m"), value("reason")) == (wanted, "SETTLED"),
             what="the target",
         )
+        ros_test.spin_for(0.5)  # what a busy computer held back of the way is heard
         truth.clear()
-        ros_test.spin_for(0.5)
+        ros_test.spin_until(lambda: len(truth) > 20, what="where the ball is")
         errors = [
             served.error(ros.from_feature(one, served, FRAME, "truth"), target) for one in truth
         ]
