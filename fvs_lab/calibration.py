@@ -250,12 +250,13 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
         best = found.runs.where(zeros_deg=size_deg).those(
             lambda row: row["scheme"] in (LEAST_SQUARES, *SOLVERS)
         )
-        solvers = best.groups("scheme").values()
+        solvers, parts = best.groups("scheme").values(), []
         for column, label, factor in (("place_m", "place, mm", 1e3), ("turn_deg", "turn, °", 1.0)):
             if solvers:
                 least = float(f"{min(one.median(column).value for one in solvers):.3g}")
-                part = lab.below(label, runs.median(column), least, factor)
-                yield lab.ours("solvers", part, zeros=size_deg)
+                parts.append(lab.below(label, runs.median(column), least, factor))
+        if parts:
+            yield lab.ours("solvers", *parts, zeros=size_deg)
     runs = found.runs.where(motion_s=MOTION_S)
     inside = sum(row["inside"] for row in runs)
     yield lab.ours("honest", lab.kept("runs", inside, len(runs), 0.9))

@@ -13,8 +13,8 @@ from fvs_ros.paths import find_file
 from fvs_sim_node.camera import CAMERAS
 
 MODULE = "fvs_tools.calibrate_node"
-#: Fewer exchanges for a simulated second than with a UR.
-SIMULATED = {"simulated_time": True, "joint_state_rate_hz": 50}
+#: Fewer exchanges and images for a simulated second than with a UR.
+SIMULATED = {"simulated_time": True, "joint_state_rate_hz": 50, "image_rate_hz": 15.0}
 
 
 @pytest.mark.parametrize("feature", ["ball", "pose"])
