@@ -15,14 +15,12 @@ import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.bench_kinhec import arm_of
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.tag_detector import TagDetector
 from fvs_detector_node.tags import SQUARE, Tag
@@ -31,7 +29,7 @@ from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.hand_eye import calibrate
 from fvs_estimator_node.hand_eye_model import tag_by_lens
 from fvs_ros.camera import camera_model
-from fvs_ros.feature import PoseFeature
+from fvs_ros.feature import rotation_matrix
 from fvs_ros.urdf import Kinematics
 from fvs_tools.table import read_table
 
@@ -51,16 +49,17 @@ class Recording(NamedTuple):
     data: DataSet
     arm: Kinematics
     seen: np.ndarray  # poses of the target in the camera, (k, 4, 4)
-    points_m: np.ndarray  # of the target, for errors in the image
-    matrix: np.ndarray | None  # of the camera
-    wrong: np.ndarray  # images that are known to be wrong, (k,)
+    #: For errors in the image: points of the target, m, and the camera's matrix.
+    points_m: np.ndarray | None = None
+    matrix: np.ndarray | None = None
+    wrong: np.ndarray | bool = False  # images that are known to be wrong, (k,)
     on_arm: bool = False
 
 
 def matrices(places_m, rotations):
     """Poses, (k, 4, 4)."""
-    poses = np.tile(np.eye(4), (len(places_m), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = rotations.as_matrix(), places_m
+    poses = np.tile(np.eye(4), (*np.shape(places_m)[:-1], 1, 1))
+    poses[..., :3, :3], poses[..., :3, 3] = rotations.as_matrix(), places_m
     return poses
 
 
@@ -74,14 +73,29 @@ def hands_of(arm, joints):
     return matrices(places, Rotation.from_matrix(np.swapaxes(turns, 1, 2)))
 
 
-def of_table(rows, *first):
-    """A data set, and an arm, of the poses of hand and target, as from a user's table."""
+def of_table(names, rows):
+    """A data set, and an arm, as from a user's table that ends with the target's poses."""
     lines = [["" if np.isnan(one) else repr(float(one)) for one in row] for row in rows]
-    names = [*first, *(f"hand_{one}" for one in COLUMNS), *COLUMNS]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "poses.csv"
-        path.write_text("\n".join(",".join(line) for line in [names, *lines]))
+        path.write_text("\n".join(",".join(line) for line in [[*names, *COLUMNS], *lines]))
         return read_table(path)
+
+
+def arm_of(model):
+    """The axes of an arm that is told by Denavit-Hartenberg parameters."""
+    pose, axes, points_m = np.eye(4), [], []
+    for joint in model:
+        axes.append(pose[:3, 2])
+        points_m.append(pose[:3, 3])
+        for axis, angle, shift in ((2, "theta_offset", "d"), (0, "alpha", "a")):
+            step = np.eye(4)
+            step[:3, :3] = rotation_matrix(joint[angle] * np.eye(3)[axis])
+            step[axis, 3] = joint[shift]
+            pose = pose @ step
+    names = tuple(f"joint_{i + 1}" for i in range(len(model)))
+    axes, points_m, tip = np.array(axes), np.array(points_m), (pose[:3, :3], pose[:3, 3])
+    return Kinematics("base", "flange", names, axes, points_m, np.zeros(len(model)), *tip)
 
 
 # --- the recordings ---
@@ -90,59 +104,48 @@ def of_table(rows, *first):
 def jazzy(folder):
     """Still images of a tag on the arm, and the inverse pose of the hand."""
     about = json.loads((folder / "frames.json").read_text())
-    camera, tag, found = about["camera"], about["tag"], []
+    camera, frames, hands, seen = about["camera"], about["frames"], [], []
     model = camera_model(*(camera[one] for one in ("width", "height", "k", "model", "d")))
-    tag = Tag(tag_id=tag["id"], tag_size_m=tag["size_m"])
+    tag = Tag(tag_id=about["tag"]["id"], tag_size_m=about["tag"]["size_m"])
     detector = TagDetector(DetectorConfig(feature="pose", tag=tag))
-    for number, frame in enumerate(about["frames"]):
+    for number, frame in enumerate(frames):
         image = cv2.cvtColor(cv2.imread(str(folder / frame["image"])), cv2.COLOR_BGR2RGB)
-        seen = detector.look(float(number), image, None, model).found
-        if seen is not None:
+        found = detector.look(float(number), image, None, model).found
+        if found is not None:
             place, turn = (list(one.values()) for one in frame["base_to_tcp"].values())
-            found.append((place, turn, seen.position_m, seen.rotation))
-    places, turns, seen_m, rotations = map(np.array, zip(*found, strict=True))
-    hands = np.linalg.inv(matrices(places, Rotation.from_quat(turns)))
-    seen = matrices(seen_m, Rotation.from_matrix(rotations))
-    data, arm = of_table(np.hstack([as_rows(hands), as_rows(seen)]))
-    name = f"tag, read in {len(found)} of {len(about['frames'])} images"
-    matrix, none = np.reshape(camera["k"], (3, 3)), np.zeros(len(found), bool)
-    yield Recording(name, data, arm, seen, tag.tag_size_m * SQUARE, matrix, none)
+            hands.append(np.linalg.inv(matrices(place, Rotation.from_quat(turn))))
+            seen.append(matrices(found.position_m, Rotation.from_matrix(found.rotation)))
+    seen, names = np.array(seen), [f"hand_{one}" for one in COLUMNS]
+    data, arm = of_table(names, np.hstack([as_rows(np.array(hands)), as_rows(seen)]))
+    name = f"tag, read in {len(seen)} of {len(frames)} images"
+    yield Recording(name, data, arm, seen, tag.tag_size_m * SQUARE, np.reshape(camera["k"], (3, 3)))
 
 
 def webcams(folder):
     """Still images of a chessboard on the hand, from several cameras, and joints in degrees."""
-    model = json.loads(next(folder.glob("robot_model*.json")).read_text())["joints"]
-    dh = {name: [one[name] for one in model] for name in ("a", "d", "alpha", "theta_offset")}
-    rest = {"sign": [1.0] * len(model), "dof": len(model), "tool_matrix": np.eye(4)}
-    arm = arm_of(SimpleNamespace(**dh, **rest, convention="standard"))
+    arm = arm_of(json.loads(next(folder.glob("robot_model*.json")).read_text())["joints"])
     poses = json.loads(next(folder.glob("dataset*.json")).read_text())["poses"]
     for path in sorted(folder.glob("intrinsics_cam*.json")):
         name, about = path.stem.removeprefix("intrinsics_"), json.loads(path.read_text())
-        width, height = about["pattern_size_inner_corners"].values()
-        points_m = np.zeros((width * height, 3))
-        points_m[:, :2] = np.mgrid[:width, :height].T.reshape(-1, 2)
+        size = tuple(about["pattern_size_inner_corners"].values())
+        points_m = np.insert(np.mgrid[: size[0], : size[1]].T.reshape(-1, 2), 2, 0.0, axis=1)
         points_m = about["square_size_m"] * (points_m - points_m.mean(axis=0))
-        found = []
+        numbers, joints, seen = [], [], []
         for pose in sorted(poses, key=lambda one: one["images"][name]):
             for image in folder.glob(f"{pose['images'][name]}.*"):
                 grey = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
-                matrix, lens = scaled(about, grey.shape[1])
-                read, corners_px = cv2.findChessboardCornersSB(grey, (width, height))
+                read, corners_px = cv2.findChessboardCornersSB(grey, size)
                 if read:
-                    pnp = points_m, corners_px, matrix, lens
-                    turn, shift = cv2.solvePnP(*pnp, flags=cv2.SOLVEPNP_IPPE)[1:]
-                    turn, shift = cv2.solvePnPRefineLM(*pnp, turn, shift)
-                    joints = np.radians(list(pose["joint_angles_deg"].values()))
-                    found.append((pose["pose_id"], joints, shift[:, 0], turn[:, 0]))
-        if found:
-            numbers, joints, places, turns = map(np.array, zip(*found, strict=True))
-            seen = matrices(places, Rotation.from_rotvec(turns))
-            seen = upright(hands_of(arm, joints), seen)
-            feature, k = PoseFeature(DataSet.lever_arm_m), np.arange(len(found))
-            images = np.array([feature.of(one[:3, 3], one[:3, :3]) for one in seen])
-            data = DataSet(k * 1.0, joints, images, k, arm.names, feature="pose", still=True)
+                    matrix, lens = scaled(about, grey.shape[1])
+                    turn, place = cv2.solvePnP(points_m, corners_px, matrix, lens)[1:]
+                    seen.append(matrices(place[:, 0], Rotation.from_rotvec(turn[:, 0])))
+                    joints.append(np.radians(list(pose["joint_angles_deg"].values())))
+                    numbers.append(pose["pose_id"])
+        if seen:
+            seen = upright(hands_of(arm, np.array(joints)), np.array(seen))
+            data, _ = of_table(arm.names, np.hstack([joints, as_rows(seen)]))
             wrong = np.isin(numbers, [25, 26])
-            name = f"{name}, board read in {len(found)} images"
+            name = f"{name}, board read in {len(seen)} images"
             yield Recording(name, data, arm, seen, points_m, matrix, wrong)
 
 
@@ -175,10 +178,9 @@ def ethz(folder):
     rows = np.full((len(hand) + len(camera), 15), np.nan)
     rows[: len(hand), :8] = hand
     rows[len(hand) :, 0], rows[len(hand) :, 8:] = camera[:, 0], as_rows(seen)
-    data, arm = of_table(rows, "stamp_s")
+    data, arm = of_table(["stamp_s", *(f"hand_{one}" for one in COLUMNS)], rows)
     seen = seen[np.isin(camera[:, 0], data.stamps_s)]
-    none = np.zeros(len(data), bool)
-    yield Recording("camera on the arm", data, arm, seen, np.zeros((1, 3)), None, none, True)
+    yield Recording("camera on the arm", data, arm, seen, on_arm=True)
 
 
 # --- what is fitted, and what it predicts ---
@@ -302,5 +304,5 @@ def main():
         print(f"{name}: {NOTES[name]}", flush=True)
         for one in read(folder / name) or ():
             compare(one, np.ones(len(one.data), bool))
-            if one.wrong.any():
+            if np.any(one.wrong):
                 compare(one._replace(name="without poses 25 and 26, which are wrong"), ~one.wrong)
