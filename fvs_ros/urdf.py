@@ -185,52 +185,39 @@ def _triple(element: ET.Element, tag: str, which: str, usual: str = "0 0 0") -> 
     return x, y, z
 
 
-def _path(joints: Mapping[str, UrdfJoint], end: str) -> list[UrdfJoint]:
-    """All joints from the root, or from a loose base, to a link."""
-    above = {one.child: one for one in joints.values()}
+def _path(above: Mapping[str, UrdfJoint], end: str) -> list[UrdfJoint]:
+    """All joints from the root, or from a loose base, to a link, of the joint before each link."""
     found: list[UrdfJoint] = []
     # A loop of joints has no root.
     while end in above and above[end].kind not in _LOOSE and len(found) < len(above):
-        found.insert(0, above[end])
+        found.append(above[end])
         end = above[end].parent
-    return found
+    return found[::-1]
 
 
-def _arm(joints: Mapping[str, UrdfJoint], known: Collection[str]) -> str:
+def _arm(above: Mapping[str, UrdfJoint], known: Collection[str]) -> str:
     """The last link of the longest chain of moving joints, without the fingers of a gripper.
 
     Fingers are shorter than the arm, and there are two as long at least on one body. A last joint
     that is not among the known ones, if some are, is one as well.
     """
-    chains = [[one for one in _path(joints, end.child) if one.moves] for end in joints.values()]
-    longest = max(chains, key=len)
-
-    def body(link: str) -> str:
-        """The first of the links that are fixed to each other."""
-        above = _path(joints, link)
-        while above and above[-1].kind == "fixed":
-            link = above.pop().parent
-        return link
-
-    def depth(joint: UrdfJoint) -> int:
-        """Most joints one after the other from this one on, those that follow others included."""
-        paths = (_path(joints, one.child) for one in joints.values())
-        rest = (path[path.index(joint) :] for path in paths if joint in path)
-        return max(sum(one.kind != "fixed" for one in path) for path in rest)
-
-    for before, first in enumerate(longest):
-        others = [
-            one
-            for one in joints.values()
-            if one.kind != "fixed" and one != first and body(one.parent) == body(first.parent)
-        ]
-        rest = len(longest) - before
-        if before > rest and any(depth(one) >= rest for one in others):
-            longest = longest[:before]
+    chains = [[one for one in _path(above, end) if one.kind != "fixed"] for end in above]
+    longest = max(chains, key=lambda chain: sum(one.moves for one in chain))
+    places = [place for place, one in enumerate(longest) if one.moves]
+    for before, place in enumerate(places):
+        rest = len(places) - before
+        fingers = (
+            len(chain) >= place + rest and chain[place] != longest[place]
+            for chain in chains
+            if chain[:place] == longest[:place]
+        )
+        if before > rest and any(fingers):
+            places = places[:before]
             break
-    while known and longest and longest[-1].name not in known:
-        longest = longest[:-1]
-    return longest[-1].child if longest else ""
+    moving = [longest[place] for place in places]
+    while known and moving and moving[-1].name not in known:
+        moving.pop()
+    return moving[-1].child if moving else ""
 
 
 def moving_chain(
@@ -244,11 +231,11 @@ def moving_chain(
     above = {one.child: one for one in joints.values()}
     if not above:
         raise ValueError("the URDF has no joints: is it a xacro that was not expanded?")
-    end = link or next((one for one in _TIPS if one in above), "") or _arm(joints, known)
+    end = link or next((one for one in _TIPS if one in above), "") or _arm(above, known)
     if link and end not in above:
         tips = ", ".join(sorted(above))[:400]
         raise ValueError(f"no joint of the URDF has the link {end!r} after it; there are {tips}")
-    path = _path(joints, end)
+    path = _path(above, end)
     for one in path:
         if one.problem:
             raise ValueError(one.problem)
@@ -324,7 +311,7 @@ def kinematics(
 ) -> Kinematics:
     """Where the axes of the joints are that carry a link; see :func:`moving_chain`."""
     tip, moving = moving_chain(joints, link, known)
-    path = _path(joints, tip)
+    path = _path({one.child: one for one in joints.values()}, tip)
     rotation, place_m = np.eye(3), np.zeros(3)
     axes, points_m, base_m = [], [], [(0.0, 0.0, 0.0)]
     for one in path:
