@@ -54,7 +54,7 @@ def find_mesh(name: str, urdf: Path | None = None) -> Path | None:
     It is looked for beside the URDF, if that is a file, and where ROS is sourced or installed.
     """
     inside = name.removeprefix("file://").removeprefix("package://")
-    folders = () if urdf is None else urdf.resolve().parents
+    folders = [Path("/")] if urdf is None else urdf.resolve().parents
     beside = [folder / one for folder in folders for one in (inside, inside.partition("/")[2])]
     sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     prefixes = (*map(Path, sourced), *sorted(_INSTALLED.glob("*"), reverse=True))

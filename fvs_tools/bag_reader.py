@@ -11,6 +11,7 @@ import contextlib
 import re
 import shutil
 import sqlite3
+import struct
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from heapq import merge
@@ -87,6 +88,13 @@ class BagReader:
         """The message in some bytes of a type."""
         read = self.typestore.deserialize_ros1 if self._ros1 else self.typestore.deserialize_cdr
         return read(raw, kind)
+
+    def stamp_s(self, raw: bytes) -> float:
+        """Stamp of a message that begins with a header, s; NaN for none."""
+        # Before it CDR has the order of bytes, and ROS 1, which knows one order, a number.
+        order = "<" if self._ros1 or raw[1] & 1 else ">"
+        seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, 4)
+        return seconds + nanoseconds * 1e-9 if seconds or nanoseconds else np.nan
 
 
 class RecordedJoints:

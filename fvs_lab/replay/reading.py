@@ -7,7 +7,6 @@ the nodes compute them, so that a number made of them is the nodes' own.
 from __future__ import annotations
 
 import re
-import struct
 from array import array
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -28,14 +27,14 @@ from fvs_tools.scenario import read_yaml
 
 CONTROLLER = topics.CONTROLLER
 #: The topics that are read: of balls and tags, velocities and positions.
-_COMMANDS = (topics.COMMANDS.name, topics.POSITION_COMMANDS.name)
+_COMMANDS = (topics.COMMANDS, topics.POSITION_COMMANDS)
 _FEATURES = [Feature(), PoseFeature(ServoedConfig.lever_arm_m)]
 TOPICS = (
-    topics.JOINT_STATES.name,
-    *(one.name for kind in _FEATURES for one in (kind.seen, kind.truth, kind.target)),
+    topics.JOINT_STATES,
+    *(one for kind in _FEATURES for one in (kind.seen, kind.truth, kind.target)),
     *_COMMANDS,
-    topics.JACOBIAN.name,
-    topics.CONTROLLER_STATUS.name,
+    topics.JACOBIAN,
+    topics.CONTROLLER_STATUS,
 )
 #: Position commands further apart than this are of two sessions, s.
 _SESSION_S = 0.1
@@ -183,22 +182,23 @@ class _Reading:
         # A remapped topic belongs to the namespace in which it was declared.
         declared = {name for name, other in remaps.items() if other in names}
         robot = _namespace(names - set(remaps.values()) | declared, namespace)
-        own = {one: topics.resolve(one, "", robot) for one in TOPICS}
-        own = {one: remaps.get(full, full) for one, full in own.items()}
-        started, seen = self._started, {one for one, full in own.items() if full in names}
+        full = {one.name: topics.resolve(one.name, "", robot) for one in TOPICS}
+        own = {one.name: (remaps.get(full[one.name], full[one.name]), one.type) for one in TOPICS}
+        every = {(connection.topic, connection.msgtype) for connection in reader.connections}
+        started, seen = self._started, {name for name, one in own.items() if one in every}
         balls, poses = ({kind.seen.name, kind.truth.name} & seen for kind in _FEATURES)
         if poses and not (balls or self._scenario):
             started["feature"] = topics.POSE
         config = {name: started[name] for name in ("feature", "lever_arm_m")}
         self._feature = ServoedConfig(**config).servoed
-        self._positions = _COMMANDS[1] in seen
-        #: What is read, by the full names of the topics.
+        self._positions = topics.POSITION_COMMANDS.name in seen
+        #: What is read, by the full names of the topics, and their types.
         self._keys = {
             own[topics.JOINT_STATES.name]: "joints",
             own[self._feature.seen.name]: "ball",
             own[self._feature.truth.name]: "true_ball",
             own[self._feature.target.name]: "target",
-            own[_COMMANDS[self._positions]]: "commands",
+            own[_COMMANDS[self._positions].name]: "commands",
             own[topics.JACOBIAN.name]: "jacobian",
             own[topics.CONTROLLER_STATUS.name]: "controller",
         }
@@ -216,10 +216,10 @@ class _Reading:
         for connection, time_ns, raw in self._reader.messages():
             topic, kind = connection.topic, connection.msgtype
             arrival_s = time_ns * 1e-9
-            numbers = None
-            if topic in self._keys or topic in (_LOG, _PARAMETER_EVENTS):
-                numbers = self._take(topic, arrival_s, self._reader.deserialize(raw, kind))
-            stamp_s = _stamp_s(raw) if stamped[kind] else np.nan
+            numbers, key = None, self._keys.get((topic, kind), topic)
+            if key != topic or topic in (_LOG, _PARAMETER_EVENTS):
+                numbers = self._take(key, arrival_s, self._reader.deserialize(raw, kind))
+            stamp_s = self._reader.stamp_s(raw) if stamped[kind] else np.nan
             if topic not in self._columns:
                 self._columns[topic] = _Columns(topic)
             self._columns[topic].add(arrival_s, stamp_s, numbers)
@@ -228,7 +228,7 @@ class _Reading:
             raise BagError("it holds no messages")
         start_s = min(one.arrival_s[0] for one in every.values())
         series = {}
-        for topic, key in self._keys.items():
+        for (topic, _), key in self._keys.items():
             if topic in every:
                 usable = every[topic].taking(np.isfinite(every[topic].values).any(axis=1))
                 series[key] = usable.taking(np.argsort(usable.time_s, kind="stable"))
@@ -253,15 +253,14 @@ class _Reading:
             events=self._events,
         )
 
-    def _take(self, topic: str, arrival_s: float, message: Any) -> np.ndarray | None:
+    def _take(self, key: str, arrival_s: float, message: Any) -> np.ndarray | None:
         """Keep a status or an event; the numbers of any other message if they can be used."""
-        key = self._keys.get(topic)
         if key == "controller":
             self._statuses.append(_status(arrival_s, message))
-        elif topic == _LOG:
+        elif key == _LOG:
             if message.level >= 30:  # rcl's WARN
                 self._events.append(Event(arrival_s, message.name, message.msg))
-        elif topic == _PARAMETER_EVENTS:
+        elif key == _PARAMETER_EVENTS:
             for one in message.changed_parameters:
                 text = f"{one.name} is now {_parameter(one.value)}"
                 self._events.append(Event(arrival_s, message.node.lstrip("/"), text))
@@ -310,29 +309,22 @@ def _velocities(positions: Series) -> Series:
 def _namespace(names: set[str], wanted: str | None) -> str:
     """The namespace of the nodes in a bag."""
     found = {
-        name.removesuffix(own).strip("/")
+        name.removesuffix(own.name).strip("/")
         for name in names
         for own in TOPICS
-        if name.endswith(f"/{own}")
+        if name.endswith(f"/{own.name}")
     }
     if wanted is not None:
         found &= {wanted.strip("/")}
     if not found:
         where = f" in namespace {wanted}" if wanted else ""
         topics_found = ", ".join(sorted(names)) or "no messages"
-        ours = ", ".join(TOPICS)
+        ours = ", ".join(one.name for one in TOPICS)
         raise BagError(f"it holds none of the topics {ours}{where}; it has {topics_found}")
     if len(found) > 1:
         listed = ", ".join(f"'/{one}'" for one in sorted(found))
         raise BagError(f"it holds several robots, name one by --namespace: {listed}")
     return found.pop()
-
-
-def _stamp_s(raw: bytes) -> float:
-    """Stamp of a message that begins with a header, s."""
-    order = "<" if raw[1] & 1 else ">"
-    seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, 4)
-    return seconds + nanoseconds * 1e-9 if seconds or nanoseconds else np.nan
 
 
 def _status(arrival_s: float, message: Any) -> Status:

@@ -146,12 +146,12 @@ def _judge(
     path_m = np.diff(way.values[:, :3], axis=0)
     numbers["path_m"] = float(np.linalg.norm(path_m, axis=1).sum())
     numbers["jitter_rad_s"] = jitter_rad_s(last_rad_s) if len(last_rad_s) > 1 else np.nan
+    unknown = {*BOUNDS_M, "final_rms_deg"}
     if len(run) > 1:
-        numbers |= dict.fromkeys(BOUNDS_M, np.nan)
-        numbers |= {name: np.nan for name in ("final_rms_deg",) if name in numbers}
+        numbers |= dict.fromkeys(numbers.keys() & unknown, np.nan)
         numbers["final_rms_m"] = float(np.sqrt(np.mean(errors_m**2)))
     elif not (over or time_s[-1] - numbers["settling_2mm_s"] >= FINAL_S):
-        unknown = {*BOUNDS_M, "final_rms_m", "final_rms_deg", "jitter_rad_s"}
+        unknown |= {"final_rms_m", "jitter_rad_s"}
         numbers |= dict.fromkeys(numbers.keys() & unknown, np.nan)
     if not speeds_rad_s.size:
         numbers["peak_joint_speed_rad_s"] = np.nan

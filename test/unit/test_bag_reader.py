@@ -12,8 +12,10 @@ pytest.importorskip("mcap")
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from replayed_bags import HandmadeBag, servo
+from rosbags.rosbag1 import Writer as Rosbag1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2.storage_mcap import zstd
+from rosbags.typesys import Stores, get_typestore
 
 from fvs_lab.replay.reading import read
 from fvs_tools.bag_reader import BagError, open_bag
@@ -148,6 +150,21 @@ def test_a_file_that_ends_within_a_chunk_is_read_up_to_there(tmp_path, whole):
     assert 0.2 * len(whole) < len(begun) < 0.8 * len(whole)
     assert begun == whole[: len(begun)]
     assert read(path).cut_off
+
+
+def test_stamps_of_ros_1_are_read_whatever_the_number_before_them(tmp_path):
+    store, kind = get_typestore(Stores.ROS1_NOETIC), "geometry_msgs/msg/PointStamped"
+    place = store.types["geometry_msgs/msg/Point"](0.0, 0.0, 1.0)
+    with Rosbag1(tmp_path / "a.bag") as bag:
+        topic = bag.add_connection("/ball_position", kind, typestore=store)
+        for number in (1, 256, 70_000):
+            stamp = store.types["builtin_interfaces/msg/Time"](number, 0)
+            header = store.types["std_msgs/msg/Header"](number, stamp, "camera")
+            raw = store.serialize_ros1(store.types[kind](header, place), kind)
+            bag.write(topic, number * 10**9, raw)
+    ball = read(tmp_path / "a.bag").series["ball"]
+    assert ball.stamp_s.tolist() == [1.0, 256.0, 70_000.0]
+    assert ball.values.tolist() == [[0.0, 0.0, 1.0]] * 3
 
 
 def test_a_lost_part_is_said_and_the_rest_is_read(tmp_path, whole):

@@ -203,6 +203,13 @@ def test_what_is_not_finite_or_of_another_size_is_passed_over(made, read_back):
     assert judged_by(recording).topic == "/ball_position", "for want of the true one"
 
 
+def test_another_type_under_a_name_of_ours_is_passed_over(made, read_back):
+    servo(made, target="another")
+    made.write("target_position", "geometry_msgs/msg/Point", 1.0, 0.0, 0.0, 1.0)
+    made.write("tool_pose", "std_msgs/msg/Float64", 1.0, 0.0)
+    assert read_back().series.keys() == {"joints", "ball", "true_ball", "commands", "jacobian"}
+
+
 # --- timing ---
 
 

@@ -12,6 +12,7 @@ from ur5_dh import axes_origins_ball, flange_pose
 
 from fvs_detector_node.detection import BallColour, colour_mask
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.paths import find_mesh
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.robot import ROBOTS, Robot, robot_description
 from fvs_sim_node.simulation import Simulation
@@ -73,6 +74,14 @@ def test_an_arm_of_seven_joints_is_simulated_from_its_urdf_alone():
         moved_m = simulation.true_jacobian(before) @ (step.joints_rad - before)
         np.testing.assert_allclose(simulation.true_ball_position() - before_m, moved_m, atol=1e-6)
         assert "6 values" in simulation.command(np.zeros(6))
+
+
+def test_a_mesh_that_is_named_absolutely_needs_no_ros(tmp_path, monkeypatch):
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    mesh = tmp_path / "part.stl"
+    assert find_mesh(f"file://{mesh}") is None
+    mesh.touch()
+    assert find_mesh(f"file://{mesh}") == mesh
 
 
 def test_a_urdf_without_its_meshes_is_simulated_with_cubes(tmp_path):
