@@ -119,7 +119,7 @@ class World:
         self.bad = set()
         self.stamps_s = {}
         self._chain_s = -math.inf
-        self._heard_joints = None
+        self._heard_joints = -math.inf, self.joints  # stamp, s, and positions, rad
         #: Whether a task began (a start, a change), and whether the image or the arm was moved.
         self.new_task = self.new_image = True
         self.reasons = Counter()
@@ -224,7 +224,6 @@ class World:
         names = self.names if names is None else names
         message = JointState(name=list(names), position=[float(q) for q in joints_rad])
         message.header.stamp = ros.to_stamp(stamp_s)
-        before_s, before = self.stamps_s.get(JOINT_STATES), self._heard_joints
         try:
             joints = JointMap(self.names).positions(message.name, message.position)
         except ForeignJointsError:
@@ -233,15 +232,12 @@ class World:
             self._note(JOINT_STATES, None)
         else:
             stamp_s = ros.from_stamp(message.header.stamp)
-            self._note(JOINT_STATES, joints, stamp_s)
-            self._heard_joints = joints
-            if self.stamps_s[JOINT_STATES] == stamp_s != before_s:
-                passed_s = math.inf if before_s is None else stamp_s - before_s
-                # No joint steps further, unless it was not seen for long.
-                if before is not None and 0.0 < passed_s < 0.5:
-                    fastest_rad = 0.1 + 1.5 * math.pi * passed_s
-                    if np.abs(joints - before).max() > fastest_rad:
-                        self.bad.add(JOINT_STATES)
+            (before_s, before), self._heard_joints = self._heard_joints, (stamp_s, joints)
+            passed_s = stamp_s - before_s
+            # No joint steps further, unless it was not seen for long.
+            fastest_rad = 0.1 + 1.5 * math.pi * passed_s
+            jumped = 0.0 < passed_s < 0.5 and np.abs(joints - before).max() > fastest_rad
+            self._note(JOINT_STATES, None if jumped else joints, stamp_s)
         self.node._on_joint_states(message)
 
     def send_ball(self, ball_m, stamp_s, frame=CAMERA_FRAME):

@@ -57,7 +57,6 @@ class ControllerNode(ros.FvsNode):
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._loop = ServoLoop(v)
         self._feature = self._loop.supervisor.config.servoed
-        self._joints_s = -np.inf
         self._stamp_s: float | None = None
         self._heard_target: tuple | None = None
         self._heard_target_s = -np.inf
@@ -101,14 +100,17 @@ class ControllerNode(ros.FvsNode):
             joints = self._joint_map.positions(message.name, message.position, stamp_s)
         except ForeignJointsError as error:
             # Joint states of another device are an error only while ours have never arrived.
-            if np.isinf(self._joints_s):
+            if self._stamp_s is None:
                 supervisor.inputs[JOINT_STATES].bad(str(error))
             return
         except JointStateError as error:
             self._loop.bad_joints(str(error))
         else:
-            self._joints, self._joints_s, self._stamp_s = joints, now_s, stamp_s
+            self._stamp_s = stamp_s
             self._loop.add_joints(now_s, stamp_s, joints)
+            # A held position must not be led away by joint states that do not count yet.
+            if self._joints is None or supervisor.inputs[JOINT_STATES].find(now_s) is None:
+                self._joints = joints
         self._ticker.on_joint_state(now_s, stamp_s)
 
     def _on_feature(self, message: PointStamped | PoseStamped) -> None:

@@ -18,8 +18,9 @@ _JUMP_S = 1.0
 _FEWEST, _MOST = 4, 51
 #: A joint state that has not come after this many periods is missing.
 MISSING_PERIODS = 2.5
-#: Longest period: fewer joint states a second move no arm, s.
-MAX_PERIOD_S = 0.05
+#: Shortest period, s: a watchdog at stamps of nanoseconds would never rest. And the longest: fewer
+#: joint states a second move no arm.
+_MIN_PERIOD_S, MAX_PERIOD_S = 1e-4, 0.05
 
 
 class Pace:
@@ -51,7 +52,7 @@ class Pace:
             self._steps_s.append(step_s)
             if len(self._steps_s) >= _FEWEST:
                 median_s = sorted(self._steps_s)[len(self._steps_s) // 2]
-                self.period_s = min(median_s, self._most_s)
+                self.period_s = min(max(median_s, _MIN_PERIOD_S), self._most_s)
         if -MAX_BACKSTEP_S <= stamp_s - self._counted_s < 0.5 * self.period_s:
             return 0.0
         self._counted_s = stamp_s

@@ -25,6 +25,10 @@ UR_JOINT_NAMES = (
 #: A UR turns each joint by so much to either side, rad, the elbow less; kinematic order.
 UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
 
+#: After a silence in which any step is possible, a joint so near to where it was, but for full
+#: turns, was wrapped: an arm is held in a silence. Else a held arm would go back by a turn, rad.
+_HELD_RAD = 0.5
+
 
 @dataclass(frozen=True)
 class ArmJoints(Parameters):
@@ -147,9 +151,10 @@ class JointMap:
                 self._turns_rad = _full_turns(self.middle_rad - wrapped)
             return wrapped + self._turns_rad
         step, possible_rad = wrapped - last, possible_step_rad(passed_s)
-        if possible_rad < pi < largest(step):
+        if largest(step) > pi:
             turns_rad = _full_turns(step)
-            turns_rad[np.abs(step - turns_rad) > possible_rad] = 0.0
+            most_rad = possible_rad if possible_rad < pi else _HELD_RAD
+            turns_rad[np.abs(step - turns_rad) > most_rad] = 0.0
             step, self._turns_rad = step - turns_rad, self._turns_rad - turns_rad
         joint = int(np.abs(step).argmax())
         if passed_s > 0.0 and abs(step[joint]) > possible_rad:

@@ -280,30 +280,16 @@ class JointLimits(ArmJoints):
         last: np.ndarray,
         last_acceleration: np.ndarray,
         dt_s: float,
-        acceleration: float | None = None,
     ) -> np.ndarray:
         """Find the next command, (n,), rad/s, on the way from the last one to a wanted velocity.
 
-        Within the acceleration limit, or another one, rad/s^2, and the jerk limit, if there is one.
+        Within the acceleration limit, and the jerk limit, if there is one.
         """
-        most = _BELOW * (acceleration or self.max_joint_acceleration_rad_s2) * self.share
+        most = _BELOW * self.max_joint_acceleration_rad_s2 * self.share
         if self.max_joint_jerk_rad_s3 > 0.0:
             jerk = _BELOW * self.max_joint_jerk_rad_s3 * self.share
             return limit_jerk(velocity, last, last_acceleration, most, jerk, dt_s)
         return limit_acceleration(velocity, last, most * dt_s)
-
-    def ramp(
-        self,
-        last: np.ndarray,
-        last_acceleration: np.ndarray,
-        dt_s: float,
-        acceleration: float | None = None,
-    ) -> np.ndarray:
-        """Take one step to rest, within the limits of :meth:`step`."""
-        if self.max_joint_jerk_rad_s3 > 0.0:
-            return self.step(np.zeros_like(last), last, last_acceleration, dt_s, acceleration)
-        most = _BELOW * (acceleration or self.max_joint_acceleration_rad_s2)
-        return ramp_to_zero(last, most * dt_s, self.share)
 
     def slow_down(
         self,
@@ -362,16 +348,16 @@ class JointLimits(ArmJoints):
     ) -> np.ndarray:
         """Find the next command, (n,), rad/s, on the way to rest from the last one."""
         if self.max_joint_jerk_rad_s3 > 0.0:
-            return self.ramp(last, last_acceleration, dt_s)
+            return self.step(np.zeros_like(last), last, last_acceleration, dt_s)
         # From full speed it stops within 0.5 s, however small the acceleration limit is.
         acceleration = max(self.max_joint_acceleration_rad_s2, self.max_joint_velocity_rad_s / 0.5)
-        velocity = self.ramp(last, last_acceleration, dt_s, acceleration)
+        most = _BELOW * acceleration * dt_s
+        velocity = ramp_to_zero(last, most, self.share)
         if joints is None:
             return velocity
         # The ramp is as long as the fastest joint's; one that nears its limit brakes harder.
         velocity, _ = self.slow_down(velocity, joints, acceleration, dt_s, pending_rad)
-        most = _BELOW * acceleration * dt_s * self.share
-        return np.clip(velocity, last - most, last + most)
+        return np.clip(velocity, last - most * self.share, last + most * self.share)
 
 
 def with_urdf_limits(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -> dict[str, Any]:

@@ -30,7 +30,6 @@ class CommandPublisher:
         self._publisher = node.publisher(self.topic)
         self._lock_step = node.get_parameter("use_sim_time").value
         self._last = np.zeros(0)  # velocity
-        self._sent: tuple[float, ...] = ()
 
     def send(
         self,

@@ -18,6 +18,7 @@ from bench.bench_mutants import MUTANTS, SCRIPTS, do
 from bench.fuzz_promises import Promises
 from bench.fuzz_world import BALL, FRESH_TICKS, JOINT_STATES, World
 from fvs_controller_node.reasons import Reason
+from fvs_ros.interface import POSITION
 from fvs_ros.ros import commands
 
 README = Path(__file__).resolve().parents[2] / "README.md"
@@ -125,6 +126,30 @@ def test_a_limit_that_is_lowered_in_motion_is_reached_by_braking_with_all_it_has
     machine.change({"max_joint_velocity_rad_s": 0.05})
     world.run(int(np.ceil((fastest - 0.05) / (6.0 * 0.008))))
     assert np.abs(world.last).max() <= 0.05
+
+
+def test_a_jump_that_is_stamped_ahead_stops_the_arm_and_is_forgotten():
+    machine = Machine()
+    machine.begin(at_work=True)
+    ahead = machine.world.joints + np.eye(6)[5]
+    machine.world.send_joints(ahead, machine.world.ros_s + 0.05)
+    assert not machine.world.last.any()
+    machine.wait(10)
+    assert machine.world.last.any()
+
+
+def test_joint_states_of_another_arm_lead_away_no_position_that_is_held():
+    machine = Machine()
+    machine.begin(interface=POSITION, at_work=True)
+    world = machine.world
+    machine.odd_ball({0: np.nan})
+    machine.silence([BALL], ticks=20)
+    held = world.goes_to
+    for of_another in np.repeat([True, False] * 30, 2):
+        world.ros_s += 0.004
+        world.send_joints(world.joints + 0.5 * of_another, world.ros_s)
+    assert world.session
+    np.testing.assert_allclose(world.goes_to, held, atol=1e-9)
 
 
 # ---- a driver that checks limits in its own cycle ------------------------------------------------
