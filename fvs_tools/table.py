@@ -53,7 +53,8 @@ def read_table(path: Path) -> tuple[DataSet, Kinematics | None]:
 def _read(path: Path) -> tuple[list[str], np.ndarray]:
     """The columns' names, and the numbers, NaN for an empty cell."""
     with path.open(newline="", encoding="utf-8-sig") as file:
-        names, *lines = [*csv.reader(file, skipinitialspace=True)] or [[]]
+        rows = file.read().rstrip().splitlines()
+    names, *lines = [*csv.reader(rows, skipinitialspace=True)] or [[]]
     table = np.full((len(lines), len(names)), np.nan)
     for number, line in enumerate(lines):
         if len(line) != len(names):
@@ -78,7 +79,7 @@ def _part(names: Sequence[str], table: np.ndarray, wanted: Sequence[str]) -> np.
             f"{', '.join(names)[:300]}"
         )
     part = table[:, [names.index(name) for name in wanted]]
-    ragged = np.flatnonzero(np.isnan(part).any(axis=1) & ~np.isnan(part).all(axis=1))
+    ragged = np.flatnonzero(~np.isfinite(part).all(axis=1) & ~np.isnan(part).all(axis=1))
     if ragged.size:
         raise ValueError(f"line {ragged[0] + 2} lacks a number of {', '.join(wanted)[:200]}")
     return part
@@ -92,6 +93,8 @@ def _data_set(
     joints = _part(names, table, _HAND if of_hand else joint_names)
     images = _part(names, table, _POSE if of_pose else _POSE[:3])
     stamps_s = _part(names, table, [_STAMP])[:, 0] if timed else np.arange(float(len(table)))
+    if np.isnan(stamps_s).any():
+        raise ValueError(f"line {np.isnan(stamps_s).argmax() + 2} lacks a {_STAMP}")
     moved, seen = (np.isfinite(one[:, 0]) for one in (joints, images))
     joints, images, arm = joints[moved], images[seen], None
     if of_hand:

@@ -133,7 +133,7 @@ def test_a_bag_of_still_poses_leaves_out_images_in_motion(tmp_path):
 
 def write(path, columns, rows):
     cells = [["" if np.isnan(one) else repr(float(one)) for one in row] for row in rows]
-    path.write_text("\n".join(", ".join(line) for line in [columns, *cells]), "utf-8")
+    path.write_text("\n".join(", ".join(line) for line in [columns, *cells, [], []]), "utf-8")
     return path
 
 
@@ -200,6 +200,8 @@ def test_a_table_trains_a_model(tmp_path):
         ("x,y,z\n1,2,3", "of a joint"),
         ("a,x,y,z\n1,2,3", "line 2 has 3 cells"),
         ("a,x,y,z\n1,2,,4", "line 2 lacks a number"),
+        ("a,x,y,z\n1,2,3,4\ninf,2,3,4", "line 3 lacks a number of a"),
+        ("stamp_s,a,x,y,z\n1,1,2,3,4\n,1,2,3,4", "line 3 lacks a stamp_s"),
         ("a,x,y,z,image\n1,2,3,4,a.png", "column image: expected a number"),
         ("a,x,y,z\n1,2,3,4\n2,,,", "1 of 1 images"),
         ("a,x,y,z,qx,qy,qz,qw\n1,2,3,4,0,0,0,2", "unit quaternion"),
