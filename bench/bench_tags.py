@@ -3,19 +3,25 @@
 ``python -m bench tags``; FVS_BENCH_TAGS sets how many images are drawn (10,000), and ten times as
 many squares are projected. A drawn pose is wrong if its angle is off by 5 degrees, a projected one
 by 15: six of the deviations that are published at most.
+
+``python -m bench tags ./FOLDER`` compares with AprilTag's own detector (``pip install
+pupil-apriltags``) on photographs of 36h11 tags instead; the numbers of docs/tags.md are of
+``images`` of github.com/swatbotics/apriltag and ``test`` of github.com/pupil-labs/apriltags.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
 from drawn_tags import SIZE_M, VGA, corners_px, draw, random_pose
 
 from bench.timing import spread
-from fvs_detector_node.tag_corners import Corners, TagReader
+from fvs_detector_node.tag_corners import FIT, Corners, TagReader, across_px
 from fvs_detector_node.tag_pose import PoseFinder
 from fvs_detector_node.tags import Tag
 
@@ -69,7 +75,41 @@ def projected(rng, noise_px):
     print(f"  noise of {noise_px:.2f} px: two poses fit {share:6.1%}, wrong {wrong}", flush=True)
 
 
+def photographed(folder):
+    """How far corners in photographs are from those of another detector."""
+    from pupil_apriltags import Detector
+
+    other, readers = Detector(families="tag36h11", quad_decimate=1.0), {}
+    count, off_px = 0, []
+    for path in sorted(Path(folder).rglob("*")):
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
+        for theirs in [] if grey is None else other.detect(grey):
+            if across_px(theirs.corners) < FIT.cell_px * TAG.cells:
+                continue
+            number, count = theirs.tag_id, count + 1
+            reader = readers.setdefault(number, TagReader(Tag(tag_id=number)))
+            found, _ = reader.find(grey)
+            if not found:
+                continue
+            # Theirs begin elsewhere, and count from the pixels' corners instead of the middles.
+            turns = (
+                np.roll(theirs.corners[::way] - 0.5, k, 0) for k in range(4) for way in (1, -1)
+            )
+            off = min((found[number].px - one for one in turns), key=np.linalg.norm)
+            if np.abs(off).max() < 5.0:  # else another tag of the same number
+                off_px.append(np.sqrt(np.square(off).mean()))
+    half, most = np.percentile(off_px, [50, 90])
+    rms = np.sqrt(np.square(off_px).mean())
+    print(
+        f"{count} tags, wide enough, in photographs by AprilTag's detector, {len(off_px)} by ours"
+    )
+    print(f"  corners apart          rms {rms:.3f} px; half {half:.3f} px, 90 % {most:.3f} px")
+
+
 def main():
+    if sys.argv[1:]:
+        photographed(sys.argv[1])
+        return
     rng = np.random.default_rng(0)
     drawn(rng)
     print(f"{10 * IMAGES} projected tags")

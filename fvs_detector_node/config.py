@@ -8,22 +8,18 @@ from typing import NamedTuple
 from fvs_detector_node.detection import BallColour
 from fvs_detector_node.tags import Tag
 from fvs_ros import topics
-from fvs_ros.params import Parameters, parameter
+from fvs_ros.camera import CameraTopicsConfig
+from fvs_ros.params import parameter
 
 
 @dataclass(frozen=True)
-class DetectorConfig(Parameters):
+class DetectorConfig(CameraTopicsConfig):
     """Parameters of ball or tag, and of the image topics."""
 
     feature: str = parameter(
         topics.BALL,
         "ball, or pose: of a tag, from the colour image; depth is not needed, but helps",
         choices=topics.FEATURES,
-    )
-    camera_topics: str = parameter(
-        "",
-        "prefix of the camera's topics, before /color/image_raw and the others; empty: camera or "
-        "camera/camera, whichever is published",
     )
     compressed_images: bool = parameter(
         False,

@@ -74,9 +74,11 @@ class Detector:
         radius_m, colour = self._config.ball_radius_m, self._config.colour
         whole = Region.whole(view)
 
+        def cut(region: Region) -> tuple[np.ndarray, np.ndarray]:
+            return rectifier.colour(rgb, region), rectifier.depth(depth_m, region)
+
         def detect(region: Region) -> BallDetection | None:
-            images = rectifier.cut(rgb, depth_m, region)
-            return detect_ball(*images, region.view(view), radius_m, colour)
+            return detect_ball(*cut(region), region.view(view), radius_m, colour)
 
         if self._tracker is None:
             self._tracker = WindowTracker(view, radius_m)
@@ -89,7 +91,7 @@ class Detector:
         self._tracker.update(stamp_s, None)
         # Limited in rate, because a diagnosis takes longer than a search.
         if self._miss is None or not 0.0 <= stamp_s - self._explained_s < 0.3:
-            self._miss = diagnose(*rectifier.cut(rgb, depth_m, whole), view, radius_m, colour)
+            self._miss = diagnose(*cut(whole), view, radius_m, colour)
             self._explained_s = stamp_s
         return Sighting(None, self._miss.text, self._miss.box)
 

@@ -81,25 +81,18 @@ class Rectifier:
             cv2.convertMaps(u, v, cv2.CV_16SC2, nninterpolation=True)[0],
         )
 
-    def cut(
-        self, rgb: np.ndarray, depth_m: np.ndarray, region: Region
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """A part of the whole images, uint8 (H, W, 3) and m (H, W), without distortion.
-
-        Colours are interpolated, and black outside the camera's view. Depth is that of the nearest
-        pixel, because a mean of two surfaces lies on neither; 0 where there is none.
-        """
-        return self.colour(rgb, region), self.depth(depth_m, region)
-
     def depth(self, depth_m: np.ndarray, region: Region) -> np.ndarray:
-        """The same of the depth image alone."""
+        """A part of the whole depth image, m (H, W), without distortion; 0 where there is none.
+
+        It is that of the nearest pixel, because a mean of two surfaces lies on neither.
+        """
         part = region.part
         if self._maps is None:
             return depth_m[part]
         return cv2.remap(depth_m, self._maps[1][part], np.empty(0), cv2.INTER_NEAREST)
 
     def colour(self, rgb: np.ndarray, region: Region) -> np.ndarray:
-        """The same of the colour image alone."""
+        """The same of the colours, uint8 (H, W, 3); black outside of the camera's view."""
         part = region.part
         if self._maps is None:
             return rgb[part]

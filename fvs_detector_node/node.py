@@ -160,15 +160,15 @@ class DetectorNode(ros.FvsNode):
         camera = self._camera
         if camera is None:
             return
-        if not self._needs_depth and _unregistered(pair):
-            pair = pair._replace(depth=None)
+        differs = _unregistered(pair)
+        if differs and not self._needs_depth:
+            pair, differs = pair._replace(depth=None), ""
         size = pair.colour.pixels.shape[:2]
         calibrated = (camera.intrinsics.height, camera.intrinsics.width)
         if calibrated != size:
             words = f"is for {_px(calibrated)} pixels, but the colour images have {_px(size)}"
             self._complain(self._topics.info, words)
             return
-        differs = _unregistered(pair)
         if differs:
             self._complain(
                 self._topics.depth,

@@ -32,14 +32,11 @@ class Fitting:
     steps: tuple[float, ...] = (-1.5, -0.5, 0.5, 1.5)
     step_px: float = 1.5
     step_cells: float = 0.25
-    #: First guess of the blur's deviation, cells, and the least one, px: with sharper first guesses
-    #: a corner that OpenCV has off by half a cell is lost.
+    #: First guess of the blur's deviation, cells: with sharper ones a corner that OpenCV has off by
+    #: half a cell is lost.
     blur_cells: float = 0.35
-    sharp_px: float = 0.3
     #: A residual of so many deviations has a quarter of the weight; what is hidden has none.
     outlier: float = 6.0
-    #: A residual's deviation is at least that of rounding, grey levels.
-    rounding: float = 0.3
     #: Rounds at most, and the step of a corner, px, that ends them.
     rounds: int = 12
     still_px: float = 0.03
@@ -47,6 +44,9 @@ class Fitting:
 
 FIT = Fitting()
 
+#: Least deviations: of a brightness, which is rounded, grey levels, and of the blur, px, since a
+#: pixel averages over its width.
+_UNIFORM = 12.0**-0.5
 #: The tag's corners in the frame of the fit, homogeneous, (4, 3).
 _SQUARE = np.array([[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
 #: Small homographies are 1 plus these times the eight unknowns, (8, 3, 3).
@@ -158,7 +158,7 @@ class _Pattern:
             # Until the pattern is about in place, its blur is as guessed, and nothing is hidden.
             free = slice(16) if turn else np.r_[:8, 12:16]
             if turn:
-                spread = 1.4826 * np.median(np.abs(residual)) + FIT.rounding
+                spread = 1.4826 * np.median(np.abs(residual)) + _UNIFORM
                 weights = (1.0 + np.square(residual / (FIT.outlier * spread))) ** -2
             weighted = slopes[free] * weights
             normal = weighted @ slopes[free].T
@@ -168,7 +168,7 @@ class _Pattern:
             matrix = matrix @ np.linalg.inv(np.eye(3) + np.tensordot(step[:8], _SMALL, 1))
             if (_SQUARE @ matrix[2]).min() <= 0.0:  # The tag would go through the camera.
                 return None
-            least = np.maximum(FIT.sharp_px * px, 0.5 * blur)
+            least = np.maximum(_UNIFORM * px, 0.5 * blur)
             blur = np.clip(blur + step[8:10], least, np.maximum(least, 2.0 * blur))
             light += step[10:]
             if turn > 1 and (np.abs(step[:8]).max() < FIT.still_px * px).all():

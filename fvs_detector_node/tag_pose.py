@@ -43,7 +43,7 @@ class Acceptance:
     #: than this share of the other's distance.
     last_s: float = 0.2
     nearer: float = 0.5
-    #: Poses that differ by less are as good as one, rad.
+    #: Poses that differ by less, rad, are one, fitted from two sides: else cubes are in doubt.
     same_rad: float = 0.02
     #: Depths count inside of this share of the print: at its edge they are mixed with others. They
     #: are smoothed over about so many pixels.

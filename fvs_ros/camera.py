@@ -35,7 +35,7 @@ class BallConfig(FeatureConfig):
 
 @dataclass(frozen=True)
 class CameraTopicsConfig(Parameters):
-    """Where the images come from, for those that show them."""
+    """Where the images come from."""
 
     camera_topics: str = parameter(
         "", "prefix of the camera's topics, before /color/image_raw; empty: camera or camera/camera"
