@@ -26,8 +26,9 @@ UR_JOINT_NAMES = (
 UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
 
 #: After a silence in which any step is possible, a joint so near to where it was, but for full
-#: turns, was wrapped: an arm is held in a silence. Else a held arm would go back by a turn, rad.
-_HELD_RAD = 0.5
+#: turns, was wrapped, rad: an arm is held meanwhile, and would else go back by a turn. In a longer
+#: silence, s, it may truly have been turned, and a slide moved as far by hand.
+_HELD_RAD, _SILENCE_S = 0.25, 20.0
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,8 @@ class JointMap:
         step, possible_rad = wrapped - last, possible_step_rad(passed_s)
         if largest(step) > pi:
             turns_rad = _full_turns(step)
-            most_rad = possible_rad if possible_rad < pi else _HELD_RAD
+            held_rad = _HELD_RAD if abs(passed_s) < _SILENCE_S else 0.0
+            most_rad = possible_rad if possible_rad < pi else held_rad
             turns_rad[np.abs(step - turns_rad) > most_rad] = 0.0
             step, self._turns_rad = step - turns_rad, self._turns_rad - turns_rad
         joint = int(np.abs(step).argmax())
