@@ -228,10 +228,11 @@ class _Mcap(McapReader):
     _scanned = False
 
     def open(self) -> None:
-        """Find the topics; of a file without its end those in what is readable."""
+        """Find the topics; of a file without its end, or its index, those in what is readable."""
+        end = max(len(_MAGIC), self.path.stat().st_size - len(_MAGIC))
         with self.path.open("rb") as file:
             begins_well = _MAGIC.startswith(file.read(len(_MAGIC)))
-            file.seek(max(len(_MAGIC), self.path.stat().st_size - len(_MAGIC)))
+            file.seek(end)
             self.cut_off = begins_well and file.read() != _MAGIC
         self.schemas = _Schemas()
         if not begins_well:
@@ -245,12 +246,14 @@ class _Mcap(McapReader):
             if self.bio is not None:
                 self.close()
         self._scanned, self.bio = True, self.path.open("rb")
-        self.data_start, self.data_end = len(_MAGIC), self.path.stat().st_size
-        with suppress(Exception):  # at the first broken record, of any kind
+        self.data_start, self.data_end = len(_MAGIC), end
+        try:
             self.meta_scan()
+        except Exception:  # at the first broken record, of any kind
+            self.cut_off = True
 
     def messages(self, connections: Any, start: Any = None, stop: Any = None) -> Any:
-        """All messages, of a file without its end those before the first broken record."""
+        """All messages, of a scanned file those before the first broken record."""
         if not self._scanned:
             yield from super().messages(connections, start, stop)
             return

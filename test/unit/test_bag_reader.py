@@ -167,6 +167,16 @@ def test_stamps_of_ros_1_are_read_whatever_the_number_before_them(tmp_path):
     assert ball.values.tolist() == [[0.0, 0.0, 1.0]] * 3
 
 
+def test_a_file_that_is_broken_within_is_said_to_be_cut_off(tmp_path, whole):
+    path = by_another(tmp_path / "bag", whole, index_types=IndexType.NONE, repeat_schemas=False)
+    assert not read(path).cut_off
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2 : len(raw) // 2 + 64] = b"\xff" * 64
+    path.write_bytes(raw)
+    assert 0 < len(content(path)) < len(whole)
+    assert read(path).cut_off
+
+
 def test_a_lost_part_is_said_and_the_rest_is_read(tmp_path, whole):
     folder = made(tmp_path / "bag")
     text = (folder / "metadata.yaml").read_text()
