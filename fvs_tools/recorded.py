@@ -33,7 +33,7 @@ def read_data_set(
 ) -> DataSet:
     """Joints at the exposures of the images in which a ball or tag was seen.
 
-    Its provenance has, as ``left_out``, what joint states were not taken, and why.
+    Its provenance has, as ``left_out``, what is missing, and why.
 
     Parameters
     ----------
@@ -58,7 +58,8 @@ def read_data_set(
             (connection.topic == joints, reader.deserialize(raw, connection.msgtype))
             for connection, _, raw in reader.messages(wanted)
         ]
-    return _paired(messages, names, types[feature] == _POSE, path)
+        notes = ["the bag was cut off, or a part of it is missing"] * reader.cut_off
+    return _paired(messages, names, types[feature] == _POSE, path, notes)
 
 
 def read_photograph(path: Path, frame: str) -> Photograph | None:
@@ -104,7 +105,11 @@ def _topic(types: dict[str, str], given: str, kinds: Sequence[str], names: Seque
 
 
 def _paired(
-    messages: Sequence[tuple[bool, Any]], arm: Sequence[str], is_pose: bool, path: Path
+    messages: Sequence[tuple[bool, Any]],
+    arm: Sequence[str],
+    is_pose: bool,
+    path: Path,
+    notes: list[str],
 ) -> DataSet:
     """Pair each feature with the joints at its stamp."""
     feature = PoseFeature(ServoedConfig.lever_arm_m) if is_pose else Feature()
@@ -132,17 +137,18 @@ def _paired(
         samples += new
         rests += [_at_rest(timeline.joints, one) for one in new]
     _, worst, times = max(judged.problems.values(), key=itemgetter(2), default=(0.0, "", 0))
-    left_out = worst and f"{times} joint states cannot be used: {worst}"[:400]
+    if worst:
+        notes.insert(0, f"{times} joint states cannot be used: {worst}"[:400])
     if not samples:
-        why = left_out or (not timeline.joints.newest and judged.foreign) or timeline.last_reason
+        foreign = judged.foreign if timeline.joints.newest is None else ""
+        why = "; ".join(notes) or foreign or timeline.last_reason
         raise ValueError(
             f"{path}: no image has joint states at its stamp: {why or 'is there one clock?'}"
         )
     short = max(Counter(one.run for one in samples).values()) < LEAST_RUN  # no motion to follow
     still = any(rests) and (short or all(rests))
     if still and not all(rests):
-        moved = f"{rests.count(False)} images of still poses show the arm in motion"
-        left_out = f"{moved}; {left_out}" if left_out else moved
+        notes.insert(0, f"{rests.count(False)} images of still poses show the arm in motion")
         samples = [one for one, rest in zip(samples, rests, strict=True) if rest]
     return data_set_of(
         samples,
@@ -150,7 +156,7 @@ def _paired(
         feature_frame=frames.pop(),
         feature=POSE if is_pose else BALL,
         lever_arm_m=ServoedConfig.lever_arm_m,
-        provenance={"bag": path.name, "left_out": left_out},
+        provenance={"bag": path.name, "left_out": "; ".join(notes)},
         still=still,
     )
 

@@ -87,6 +87,25 @@ def test_the_arm_is_drawn_over_an_image_of_the_bag(tmp_path, capsys):
     assert " px (median)" in capsys.readouterr().out
 
 
+def test_a_bag_that_was_cut_off_says_so(bag):
+    (file,) = bag.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 3 // 4])
+    data = read_data_set(file, ARM.names)
+    assert 500 < len(data) < 800
+    assert data.provenance["left_out"].startswith("the bag was cut off")
+
+
+def test_images_of_another_clock_are_named(tmp_path):
+    point = T["geometry_msgs/msg/Point"](0.0, 0.0, 1.0)
+    bag = Bag(tmp_path / "bag", {})
+    for k in range(20):
+        bag.write(joint_states(1000.0 + 0.01 * k, ARM.names, np.zeros(6)))
+        bag.write(message("/ball_position", "geometry_msgs/msg/PointStamped", 0.01 * k, point))
+    bag.close()
+    with pytest.raises(ValueError, match="check that both clocks agree"):
+        read_data_set(tmp_path / "bag", ARM.names)
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
