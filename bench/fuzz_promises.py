@@ -40,8 +40,7 @@ class Promises:
         self._dt_s = 0.0
         self._errand = None
         self._step = np.zeros(world.joints.size)  # to the last command
-        self._changed_s = -math.inf  # when a task or a limit changed last
-        self._unchanged_s = 0.0  # what the ticks since then counted for
+        self._unchanged_s = 0.0  # what the ticks since the last change of task or limit counted for
 
     def _begin_image(self):
         """Count anew what the arm does on a wrong image."""
@@ -51,9 +50,9 @@ class Promises:
         """Judge a tick: steady clock and time step, s."""
         world, v, reason = self._world, command.velocity_rad_s, command.reason
         if world.new_task:
-            self._errand, self._changed_s, self._unchanged_s = None, now_s, 0.0
+            self._errand, self._unchanged_s = None, 0.0
         elif abs(dt_s - self._dt_s) > 0.1 * dt_s:  # a period that was learned anew
-            self._changed_s, self._unchanged_s = now_s, 0.0
+            self._unchanged_s = 0.0
         else:
             self._unchanged_s += dt_s
         if world.new_task or world.new_image:
@@ -103,6 +102,12 @@ class Promises:
 
     # ---- every command --------------------------------------------------------------------
 
+    @property
+    def _builds_up(self):
+        """Whether, within a jerk limit, an acceleration may still go and braking build up."""
+        jerk = self._world.values["max_joint_jerk_rad_s3"]
+        return jerk > 0.0 and self._unchanged_s < TICK_S + 2.0 * LONGEST_BUILD_UP_S
+
     def _judge_sent(self, v, dt_s):
         """On the wire is what was decided, and of a position the step of one period."""
         world = self._world
@@ -128,10 +133,11 @@ class Promises:
 
     def _judge_ramp(self, v, dt_s, stops, brake_rad_s2, jerk):
         """A stop within a jerk limit takes as long as the limits ask for."""
-        if not stops or self._world.now_s == self._changed_s:
+        if not stops or not self._unchanged_s:
             self._stopping_s = 0.0
             fastest = np.abs(v / self._world.limits.share).max()
-            self._stops_in_s = fastest / brake_rad_s2 + 2.0 * brake_rad_s2 / max(jerk, 1.0)
+            # An acceleration goes first, and makes it faster by half of what that takes.
+            self._stops_in_s = fastest / brake_rad_s2 + 2.5 * brake_rad_s2 / max(jerk, 1.0)
             return
         self._stopping_s += dt_s
         ok = np.abs(v).max() < 1e-3 or self._stopping_s < self._stops_in_s + 5.0 * TICK_S
@@ -151,8 +157,7 @@ class Promises:
             dt_s = step_rad_s / brake_rad_s2
             built = np.abs(before_step) / dt_s + dt_s * jerk
             braked_rad_s = BELOW * dt_s * np.minimum(brake_rad_s2, built)
-            # An acceleration goes first, then braking builds up.
-            if self._unchanged_s < TICK_S + 2.0 * LONGEST_BUILD_UP_S or not v.any():
+            if self._builds_up or not v.any():
                 return
             # Deceleration falls to zero where the limit is reached.
             twice = 2.0 * jerk * max(0.0, before - fast_rad_s)
@@ -182,7 +187,7 @@ class Promises:
 
     def _judge_jerk(self, v, last, dt_s, jerk):
         """As a driver differentiates: the steps of two commands in a row."""
-        before, same = self._step, self._world.now_s > self._changed_s
+        before, same = self._step, self._unchanged_s > 1.5 * dt_s  # one step after a change
         self._step, self._dt_s = v - last, dt_s
         ok = not jerk or not same or np.abs(v - last - before).max() <= jerk * dt_s**2 + ROUNDING
         keep("jerk limit", ok, v, last, before, jerk)
@@ -208,7 +213,7 @@ class Promises:
         # A start leaves a singular pose slowly, for ten seconds.
         leaves = world.now_s - world.asked_s < 10.0 + LATE_S and fastest <= 0.1 + ROUNDING
         low = world.singular_m_rad < values["singular_hold_m_rad"]
-        ok = not low or leaves or fastest < before
+        ok = not low or leaves or fastest < before or self._builds_up
         keep("held near a singularity", ok, world.singular_m_rad, world.last)
 
         target_m, ball_m = world.target_m, world.ball()

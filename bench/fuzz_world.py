@@ -153,7 +153,7 @@ class World:
         A tick takes ``steady_s`` on the steady clock and ``ros_s`` on that of the stamps.
         """
         self.honest &= ros_s is None and self.plant in ("obeys", "lags") and self.scaling == 100.0
-        self.honest &= steady_s <= TICK_S or not self.positions  # a path steps by one period
+        self.honest &= steady_s == TICK_S or not self.positions  # a path steps by a known period
         for _ in range(ticks):
             self._beats += 1
             self.now_s += steady_s
