@@ -161,7 +161,7 @@ class Prediction:
 
 
 def prediction(recording: Recording) -> Prediction | None:
-    """Judge the Jacobian; None where the bag has none, or no motion.
+    """Judge the Jacobian; None where the bag has none of this size, or no motion.
 
     The steps are those that the estimator makes of the same messages. Each is predicted by the
     newest Jacobian at its middle, and never by one that may have learned from the image at its
@@ -186,9 +186,9 @@ def prediction(recording: Recording) -> Prediction | None:
     # An old Jacobian predicts nothing.
     usable = (newest >= 0) & (wanted_s - jacobian.arrival_s[newest] <= 0.3)
     usable &= np.isfinite(before_m + after_m).all(axis=1)
-    if not usable.any():
-        return None
     tasks = feature.task_scale
+    if not usable.any() or jacobian.values.shape[1] != len(tasks) * d_joints_rad.shape[1]:
+        return None
     rows = jacobian.values.reshape(len(jacobian), len(tasks), -1)[newest[usable]]
     pairs = zip(after_m[usable], before_m[usable], strict=True)
     motion_m = np.array([feature.error(*map(feature.nearest, pair)) for pair in pairs])

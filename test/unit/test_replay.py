@@ -207,7 +207,10 @@ def test_another_type_under_a_name_of_ours_is_passed_over(made, read_back):
     servo(made, target="another")
     made.write("target_position", "geometry_msgs/msg/Point", 1.0, 0.0, 0.0, 1.0)
     made.write("tool_pose", "std_msgs/msg/Float64", 1.0, 0.0)
-    assert read_back().series.keys() == {"joints", "ball", "true_ball", "commands", "jacobian"}
+    made.array("jacobian", -1.0, np.ones((6, 6)))  # of a pose, and so are all of its size
+    recording = read_back()
+    assert recording.series.keys() == {"joints", "ball", "true_ball", "commands", "jacobian"}
+    assert prediction(recording) is None
 
 
 # --- timing ---
