@@ -195,6 +195,20 @@ def test_a_tag_seen_squarely_is_certain_only_after_a_view_at_an_angle():
     assert find(9.0, 0.2) is None
 
 
+def test_a_tag_that_turns_through_the_square_view_is_not_taken_for_its_mirror_image():
+    seen = 0
+    for seed in range(10):
+        finder, rng = PoseFinder(TAG), np.random.default_rng(seed)
+        for k, tilt_rad in enumerate(np.linspace(0.75, -0.75, 61)):
+            rotation = turned(tilt_rad)
+            px = corners(corners_px(rotation, 1.5 * MIDDLE), 0.05, rng)
+            pose, _ = finder.find(k / 30.0, {0: px}, VGA)
+            if pose is not None:
+                seen += 1
+                assert angle_rad(pose.rotation, rotation) < 0.25
+    assert seen > 450
+
+
 def depth_of(rotation, position_m, rng, noise_m=0.002, bias=1.02):
     v, u = np.mgrid[: VGA.height, : VGA.width]
     normal = rotation[:, 2]
