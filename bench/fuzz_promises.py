@@ -116,10 +116,8 @@ class Promises:
             sent = all(np.array_equal(one.data, v) for one in world.wire)
             keep("sends what it decided", sent and (same or world.wire), v, world.wire)
             return
-        active, lock_step = (
-            world.node._loop.supervisor.started or v.any(),
-            world.node.simulated_time,
-        )
+        active = world.node._loop.supervisor.started or v.any()
+        lock_step = world.node.simulated_time
         keep("positions in a session only", active or lock_step or not world.wire, world.wire)
         keep("positions all the time", world.wire or same or not active, v)
         for one in world.wire:

@@ -44,7 +44,7 @@ class Following:
 
     def __init__(self) -> None:
         self._path = History()  # as commanded, rad, (n,), by the time that was judged
-        self._joints = self._looked = np.zeros(0)  # the last ones, and the path at the last look
+        self._looked = np.zeros(0)  # the path at the last look
         self._before = np.zeros(0)  # the command before the path began, rad/s
         #: Where comparisons began, newest first: least and largest path that may be done then, the
         #: joints and the path, (4, k, n).
@@ -74,7 +74,7 @@ class Following:
         drives may have.
         """
         step_s = 0.0 if self._stamp_s is None else stamp_s - self._stamp_s
-        self._stamp_s, self._joints = stamp_s, joints_rad
+        self._stamp_s = stamp_s
         late_s, goes_on = now_s - stamp_s, 0.0 < step_s < 1.0  # no clock has jumped
         calmer_s = self._least_late_s + _FORGET * step_s if goes_on else inf
         self._least_late_s = min(late_s, calmer_s)
@@ -98,13 +98,12 @@ class Following:
         if np.abs(path - self._looked).max() >= _LOOK_RAD:
             then_s = time_s - lag_s - self._period_s  # a command waits for a joint state, too
             late = self._path.at(then_s)
-            self._look(path, then_s * self._before if late is None else late)
+            self._look(path, then_s * self._before if late is None else late, joints_rad)
 
-    def _look(self, path: np.ndarray, late: np.ndarray) -> None:
-        """Compare, with the path now and a lag ago, rad, (n,)."""
+    def _look(self, path: np.ndarray, late: np.ndarray, joints: np.ndarray) -> None:
+        """Compare, with the path now and a lag ago and the joints, rad, (n,)."""
         self._looked, begun = path, self._begun
-        low, high, joints = np.minimum(path, late), np.maximum(path, late), self._joints
-        moved = joints - begun[2]
+        low, high, moved = np.minimum(path, late), np.maximum(path, late), joints - begun[2]
         stuck = _astray(low - begun[1], high - begun[0], moved)
         stuck |= _astray(begun[0] - high, begun[1] - low, -moved)
         if stuck.any():
