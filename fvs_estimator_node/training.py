@@ -41,23 +41,15 @@ _NOTABLE_OFFSET_S, _NOTABLE_ERROR = 0.003, 0.15
 
 @dataclass(frozen=True)
 class TrainingOptions:
-    """How to train.
+    """How to train."""
 
-    Parameters
-    ----------
-    method : str
-        One of ``METHODS``.
-    neurons : int, optional
-        Neurons of each network; by default as many as is usual for the method.
-    seed : int
-        Seed of everything random: equal data, options and seed give equal networks.
-    iterations : int
-        Adam iterations of ``varpro``.
-    """
-
+    #: One of ``METHODS``.
     method: str = "varpro"
+    #: Of each network; by default as many as is usual for the method.
     neurons: int | None = None
+    #: Of everything random: equal data, options and seed give equal networks.
     seed: int = 0
+    #: Adam iterations of ``varpro``.
     iterations: int = 300
 
     def __post_init__(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from fvs_lab.experiment import Claim, Context, Drawn, Experiment, Found, TableOf
 from fvs_lab.floor import Limits, Scaled, fastest
 from fvs_lab.outcome import BOUNDS_M
 from fvs_lab.results import Results, median
-from fvs_lab.trials import Case, Trial, Variant, drive, relative_errors, sees
+from fvs_lab.trials import Case, Trial, Variant, apart, drive, relative_errors
 from fvs_ros.limits import JointLimits, with_urdf_limits
 from fvs_ros.params import Parameters
 from fvs_sim_node.config import SimConfig
@@ -92,21 +93,10 @@ def learn(arm: str) -> tuple[TrainedModel, float]:
 
 def draw_cases(arm: str, trained: TrainedModel, count: int) -> list[Case]:
     """Draw starts and goals in the box of the data whose balls are seen and far apart."""
-    simulation, rng = _simulation(arm), np.random.default_rng(3)
-    cases: list[Case] = []
-    low, high = trained.joint_box_rad
+    rng, (low, high) = np.random.default_rng(3), trained.joint_box_rad
     least_m = _FAR * float(np.ptp(trained.ball_box_m, axis=0).max())
-    while len(cases) < count:
-        pair = rng.uniform(low, high, (2, low.size))
-        balls = []
-        for joints in pair:
-            simulation.reset(joints)
-            if sees(simulation):
-                balls.append(simulation.true_ball_position())
-        if len(balls) == 2 and np.linalg.norm(balls[1] - balls[0]) > least_m:
-            start, goal = (tuple(joints) for joints in pair.tolist())
-            cases.append(Case(f"{arm} {len(cases) + 1}", start, goal, len(cases)))
-    return cases
+    pairs = apart(_simulation(arm), lambda: rng.uniform(low, high, (2, low.size)), least_m)
+    return [Case(f"{arm} {n + 1}", *pair, n) for n, pair in enumerate(islice(pairs, count))]
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ def journeys(count: int, seed: int, names: Sequence[str]) -> Iterator[Run]:
         # About the optical axis, except for a tenth.
         axis = np.append(0.1 * rng.normal(size=2), rng.choice([-1.0, 1.0]))
         shift = rng.normal(size=3)
-        bump = trials.Bump(STRUCK_AFTER_S, _vector(axis, 45.0), _vector(shift, 0.1))
+        bump = trials.Bump(STRUCK_AFTER_S, trials.along(axis, 45.0), trials.along(shift, 0.1))
         if not _seen_after(bump, case):
             continue
         drawn += 1
@@ -173,11 +173,6 @@ def journeys(count: int, seed: int, names: Sequence[str]) -> Iterator[Run]:
                     before=partial(_visit, first_m, bump, moment),
                 )
                 yield labels, trial
-
-
-def _vector(direction: np.ndarray, length: float) -> trials.Vector:
-    x, y, z = (length * direction / np.linalg.norm(direction)).tolist()
-    return (x, y, z)
 
 
 def _seen_after(bump: trials.Bump, case: trials.Case) -> bool:

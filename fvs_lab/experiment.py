@@ -41,7 +41,7 @@ class Context:
 
     #: Folder of the page; each experiment has one of its own name in it.
     out: Path
-    #: Number of seeded cases; each experiment has its own default.
+    #: Number of seeded cases or worlds; each experiment has its own default.
     seeds: int | None = None
     #: Number of processes.
     jobs: int = 1
@@ -51,8 +51,7 @@ class Context:
     rendered: bool = True
     #: Whether spot checks through the real nodes are made.
     nodes: bool = True
-    #: Number of random worlds, and the schemes that run in them; empty for all.
-    trials: int | None = None
+    #: Schemes that run in random worlds; empty for all.
     schemes: tuple[str, ...] = ()
 
     def folder(self, name: str) -> Path:

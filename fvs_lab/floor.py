@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -102,18 +102,11 @@ class Fastest:
         return self.speeds_rad_s(moments).reshape(count, 20, -1).mean(axis=1)
 
 
-class Kinematics(Protocol):
-    """Where the ball truly is, world frame, m, (..., 3), and its Jacobian, (..., 3, n)."""
-
-    def position(self, joints_rad: np.ndarray) -> np.ndarray: ...  # noqa: D102
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray: ...  # noqa: D102
-
-
 @dataclass(frozen=True)
 class Scaled:
     """An arm whose joints are told in units of their shares, (n,), and so have equal limits."""
 
-    arm: Kinematics
+    arm: SerialChain
     share: np.ndarray
 
     def position(self, units: np.ndarray) -> np.ndarray:
@@ -132,7 +125,7 @@ def ur5() -> SerialChain:
 
 
 def fastest(
-    case: Case, limits: Limits, tolerance_m: float, arm: Kinematics | None = None
+    case: Case, limits: Limits, tolerance_m: float, arm: SerialChain | Scaled | None = None
 ) -> Fastest:
     """Find the motion that has the ball near the target soonest, by true kinematics.
 
@@ -190,7 +183,9 @@ def fastest(
     )
 
 
-def _near(case: Case, arm: Kinematics, paths: np.ndarray, tolerance_m: float) -> dict[str, Any]:
+def _near(
+    case: Case, arm: SerialChain | Scaled, paths: np.ndarray, tolerance_m: float
+) -> dict[str, Any]:
     """The constraint that the ball is within the tolerance at each look, and its slopes."""
     start, target_m = np.array(case.start_rad), arm.position(np.array(case.goal_rad))
 

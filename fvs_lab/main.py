@@ -43,7 +43,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seeds",
         type=_positive,
-        help="number of seeded cases (default: that of each experiment)",
+        help="number of seeded cases or worlds (default: that of each experiment)",
     )
     parser.add_argument(
         "--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: all cores)"
@@ -70,7 +70,6 @@ def _parser() -> argparse.ArgumentParser:
         "everyday, tags and robustness",
         "Random worlds; the same number is the same world, whatever the others.",
     )
-    alone.add_argument("--trials", type=_positive, help="number of worlds (default: 500)")
     alone.add_argument(
         "--trial", type=_positive, metavar="NUMBER", help="run this world alone: text and a picture"
     )
@@ -96,8 +95,8 @@ def main(argv: list[str] | None = None) -> int:
         return replay(given[1:])
     parser = _parser()
     arguments = parser.parse_args(given)
-    if arguments.name not in LONG and (arguments.trials or arguments.trial or arguments.scheme):
-        parser.error(f"--trials, --trial and --scheme are for {' and '.join(LONG)}")
+    if arguments.name not in LONG and (arguments.trial or arguments.scheme):
+        parser.error(f"--trial and --scheme are for {' and '.join(LONG)}")
     # Random worlds need no images: without them all settle alike, at a third of the cost.
     arguments.camera = arguments.camera or ("exact" if arguments.name in LONG else "rendered")
     if arguments.name == "replay":
@@ -135,7 +134,6 @@ def _run(arguments: argparse.Namespace) -> int:
         quick=arguments.quick,
         rendered=arguments.camera == "rendered",
         nodes=arguments.nodes,
-        trials=arguments.trials,
         schemes=tuple(arguments.scheme),
     )
     try:
@@ -181,7 +179,6 @@ def _origin(arguments: argparse.Namespace, model: str) -> Origin:
 
     command = ["fvs_experiments", arguments.name]
     command += [f"--seeds {arguments.seeds}"] if arguments.seeds else []
-    command += [f"--trials {arguments.trials}"] if arguments.trials else []
     command += [f"--scheme {json.dumps(name)}" for name in arguments.scheme]
     command += ["--quick"] if arguments.quick else []
     command += [f"--camera {arguments.camera}"]

@@ -63,13 +63,8 @@ class Outcome:
         """
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         times = values.pop("settling_s")
-        to = {_column(name): seconds(time) for name, time in times.items()}
+        to = {f"to_{name.replace(' ', '')}_s": seconds(time) for name, time in times.items()}
         return {**labels, "settled": not self.failure, **to, **values}
-
-
-def _column(bound: str) -> str:
-    """``to_5mm_s`` for ``5 mm``."""
-    return f"to_{bound.replace(' ', '')}_s"
 
 
 def seconds(value: float | None) -> float:

@@ -25,6 +25,7 @@ from fvs_lab.trials import (
     Case,
     Conditions,
     Trial,
+    along,
     make_cases,
     sees_all,
     simulation_of,
@@ -96,8 +97,8 @@ class CalibratedTrial(Trial):
     def loop(self, simulation: Simulation) -> ClosedLoop:
         """The whole loop in a simulation that has been reset."""
         axis, way = np.random.default_rng(self.case.seed).normal(size=(2, 3))
-        turn = rotation_matrix(np.radians(self.off[0]) * axis / np.linalg.norm(axis))
-        shift_m = self.off[1] * way / np.linalg.norm(way)
+        turn = rotation_matrix(np.array(along(axis, np.radians(self.off[0]))))
+        shift_m = np.array(along(way, self.off[1]))
         chain = simulation.true_chain(_FEATURE).moved(turn, shift_m)
         values = {"law": self.variant.law, **self.variant.controller_values}
         return ClosedLoop(simulation, Calibrated(chain), values)
@@ -192,9 +193,7 @@ def _moved_cameras(context: lab.Context, cases: list[Case]) -> Iterator[Mapping[
         # A camera that no longer sees the tag is another matter: draw until it does.
         for _ in range(100):
             axis, way = rng.normal(size=(2, 3))
-            turn_deg = MOVED[0] * axis / np.linalg.norm(axis)
-            shift_m = MOVED[1] * way / np.linalg.norm(way)
-            bump = Bump(0.0, tuple(turn_deg.tolist()), tuple(shift_m.tolist()))
+            bump = Bump(0.0, along(axis, MOVED[0]), along(way, MOVED[1]))
             simulation_of(EXACT)  # puts the camera back
             bump.strike(simulation)
             if sees_all(simulation, (case.start_rad, case.goal_rad)):

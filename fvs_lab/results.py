@@ -52,8 +52,7 @@ def median(values: Sequence[float], repeats: int = 1) -> Interval:
     of the same cases follow one another; the bootstrap then resamples both cases and searches.
     """
     data = np.asarray(values, dtype=float)
-    medians = _median(data[_resamples(data.size, repeats)])
-    return Interval(float(_median(data)), *_ends(medians), data.size // repeats)
+    return _bootstrapped(lambda chosen: np.median(data[chosen], axis=-1), data.size, repeats)
 
 
 def ratio_of_medians(
@@ -63,10 +62,13 @@ def ratio_of_medians(
     above, below = np.asarray(numerator, dtype=float), np.asarray(denominator, dtype=float)
     if above.shape != below.shape:
         raise ValueError(f"paired runs must be as many: got {above.size} and {below.size}")
-    chosen = _resamples(above.size, repeats)
-    ratios = _ratio(_median(above[chosen]), _median(below[chosen]))
-    middle = float(_ratio(_median(above), _median(below)))
-    return Interval(middle, *_ends(ratios), above.size // repeats)
+
+    def ratio(chosen: np.ndarray) -> np.ndarray:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratios = np.median(above[chosen], axis=-1) / np.median(below[chosen], axis=-1)
+        return np.where(np.isnan(ratios), np.inf, ratios)
+
+    return _bootstrapped(ratio, above.size, repeats)
 
 
 def wilson(hits: int, count: int) -> Interval:
@@ -77,31 +79,17 @@ def wilson(hits: int, count: int) -> Interval:
     return Interval(hits / count, float(ends.low), float(ends.high), count)
 
 
-def _resamples(count: int, repeats: int) -> np.ndarray:
-    """Numbers of runs, shape (resamples, count): drawn cases of drawn repeats."""
+def _bootstrapped(
+    statistic: Callable[[np.ndarray], np.ndarray], count: int, repeats: int = 1
+) -> Interval:
+    """A statistic of the runs with some numbers, (..., n), over drawn cases of drawn repeats."""
     rng, cases = np.random.default_rng(0), count // repeats
     drawn = rng.integers(0, cases, (_RESAMPLES, 1, cases))
     again = rng.integers(0, repeats, (_RESAMPLES, repeats, 1))
-    return (cases * again + drawn).reshape(_RESAMPLES, -1)
-
-
-def _median(data: np.ndarray) -> np.ndarray:
-    """The median of the last axis; infinite if one of two middle values is."""
-    ordered, count = np.sort(data, axis=-1), data.shape[-1]
-    return 0.5 * (ordered[..., (count - 1) // 2] + ordered[..., count // 2])
-
-
-def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.asarray(above / below)
-    return np.where(np.isnan(ratio), np.inf, ratio)
-
-
-def _ends(samples: np.ndarray) -> tuple[float, float]:
-    """Percentiles that are samples: interpolation with infinity is none."""
-    ordered = np.sort(samples)
-    tail = round((1.0 - _LEVEL) / 2.0 * (ordered.size - 1))
-    return float(ordered[tail]), float(ordered[-1 - tail])
+    samples = statistic((cases * again + drawn).reshape(_RESAMPLES, -1))
+    # Percentiles that are samples: interpolation with infinity is none.
+    low, high = np.quantile(samples, (0.5 - 0.5 * _LEVEL, 0.5 + 0.5 * _LEVEL), method="nearest")
+    return Interval(float(statistic(np.arange(count))), float(low), float(high), cases)
 
 
 # ---- the tidy table -------------------------------------------------------------------------
@@ -158,10 +146,10 @@ class Results:
         """Root of the mean square of a column, with its interval; or over that of another one."""
         data = np.square(self.values(name))
         below = np.square(self.values(over)) if over else np.ones_like(data)
-        chosen = _resamples(data.size, 1)
-        ratios = np.sqrt(data[chosen].mean(axis=-1) / below[chosen].mean(axis=-1))
-        middle = float(np.sqrt(data.mean() / below.mean()))
-        return Interval(middle, *_ends(ratios), data.size)
+        return _bootstrapped(
+            lambda chosen: np.sqrt(data[chosen].mean(axis=-1) / below[chosen].mean(axis=-1)),
+            data.size,
+        )
 
     def over(self, other: Results, name: str) -> Interval:
         """Ratio of the medians of a column, paired by case.

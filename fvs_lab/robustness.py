@@ -62,7 +62,7 @@ def judged(outcome: Outcome) -> Outcome:
 def measure(kind: Kind, context: lab.Context) -> lab.Found:
     """Draw worlds of a kind, and run every scheme in all of them."""
     contestants = contestants_called(context.schemes or (_QUICK if context.quick else ()))
-    count = context.trials or context.count(500, 4)
+    count = context.count(500, 4)
     worlds = context.map(partial(draw_world, kind), range(1, count + 1), "worlds")
     pairs = [(world, one) for world in worlds for one in contestants]
     trials = [trial_in(world, one, context.rendered) for world, one in pairs]

@@ -221,19 +221,14 @@ def search_all(
     searches: Mapping[Key, Search],
     cases: Sequence[Case],
     seed: int,
-    generations: int = 6,
-    population: int = 10,
 ) -> dict[Key, list[Tuned]]:
     """Search each of them several times with the same budget; a quick run does one small search.
 
-    The budget is generations times population candidates. Each search has another seed, counting
-    from the one given.
+    Each search has another seed, counting from the one given.
     """
     from cmaes import CMA
 
-    repeats = 1 if context.quick else SEEDS
-    if context.quick:
-        generations, population = 1, 2
+    repeats, generations, population = (1, 1, 2) if context.quick else (SEEDS, 6, 10)
     found = [Tuned(search, []) for search in repeats * [*searches.values()]]
     optimisers = [
         CMA(

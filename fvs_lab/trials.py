@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
+from itertools import islice
 from typing import Any
 
 import cv2
@@ -39,6 +40,15 @@ _LARGEST_ERROR_M = 0.1
 _SCENE_M = np.array([0.47, 0.1, 0.33])
 
 Vector = tuple[float, float, float]
+#: Joints, rad.
+Joints = tuple[float, ...]
+
+
+def along(direction: np.ndarray, length: float) -> Vector:
+    """A vector of this length."""
+    x, y, z = (length * direction / np.linalg.norm(direction)).tolist()
+    return (x, y, z)
+
 
 # ---- the world ------------------------------------------------------------------------------
 
@@ -126,7 +136,7 @@ def _build(physics_rate_hz: float, feature: str, tag: Tag) -> Simulation:
 
 @dataclass(frozen=True)
 class StableNoise:
-    """Symmetric alpha-stable errors of a ball position, by Chambers, Mallows and Stuck."""
+    """Symmetric alpha-stable errors of a ball position."""
 
     #: Standard deviation at exponent 2, m; with less, the bulk is as wide and the tails heavy.
     scale_m: float
@@ -135,12 +145,10 @@ class StableNoise:
 
     def __call__(self, rng: np.random.Generator) -> np.ndarray:
         """Draw the errors of the three coordinates, m, cut off at the largest plausible error."""
-        alpha = self.exponent
-        angle = rng.uniform(-0.5 * np.pi, 0.5 * np.pi, 3)
-        waiting = rng.exponential(size=3)
-        spread = (np.cos((1.0 - alpha) * angle) / waiting) ** ((1.0 - alpha) / alpha)
-        draw = np.sin(alpha * angle) / np.cos(angle) ** (1.0 / alpha) * spread
-        error_m = self.scale_m / np.sqrt(2.0) * draw
+        from scipy.stats import levy_stable
+
+        scale_m = self.scale_m / np.sqrt(2.0)
+        error_m = levy_stable.rvs(self.exponent, 0.0, scale=scale_m, size=3, random_state=rng)
         return np.clip(error_m, -_LARGEST_ERROR_M, _LARGEST_ERROR_M)
 
 
@@ -169,8 +177,8 @@ class Case:
     """A start, and a goal whose ball position is the target, as joints, rad; seed of the noise."""
 
     name: str
-    start_rad: tuple[float, ...]
-    goal_rad: tuple[float, ...]
+    start_rad: Joints
+    goal_rad: Joints
     seed: int
 
 
@@ -254,7 +262,7 @@ def sees(simulation: Simulation) -> bool:
     return isinstance(found, BallDetection) and found.visible_fraction >= 0.9
 
 
-def sees_all(simulation: Simulation, places: Iterable[tuple[float, ...] | np.ndarray]) -> bool:
+def sees_all(simulation: Simulation, places: Iterable[Joints | np.ndarray]) -> bool:
     """Whether the camera sees it at all of these joints, rad, (n,) each."""
     for joints in places:
         simulation.reset(joints)
@@ -276,11 +284,21 @@ def make_cases(
     The label begins their names; the seed is that of the draw and of the cases' own seeds.
     """
     rng = np.random.default_rng(seed)
-    simulation = simulation_of(conditions or Conditions())
-    cases: list[Case] = []
-    while len(cases) < count:
-        pair = HOME_RAD + rng.uniform(-1.0, 1.0, (2, HOME_RAD.size)) * BOX_RAD
-        balls = []
+
+    def draw() -> np.ndarray:
+        return HOME_RAD + rng.uniform(-1.0, 1.0, (2, HOME_RAD.size)) * BOX_RAD
+
+    pairs = apart(simulation_of(conditions or Conditions()), draw, low_m, high_m)
+    numbered = enumerate(islice(pairs, count), start=1)
+    return [Case(f"{label}{number}", *pair, 1000 * seed + number) for number, pair in numbered]
+
+
+def apart(
+    simulation: Simulation, draw: Callable[[], np.ndarray], low_m: float, high_m: float = np.inf
+) -> Iterator[tuple[Joints, Joints]]:
+    """Draw pairs of joints, rad, (2, n), whose balls (or tags) are visible and this far apart."""
+    while True:
+        pair, balls = draw(), []
         for joints in pair:
             simulation.reset(joints)
             if not sees(simulation):
@@ -288,10 +306,8 @@ def make_cases(
             balls.append(simulation.true_ball_position())
         else:
             if low_m <= float(np.linalg.norm(balls[1] - balls[0])) <= high_m:
-                start, goal = (tuple(float(angle) for angle in joints) for joints in pair)
-                number = len(cases) + 1
-                cases.append(Case(f"{label}{number}", start, goal, 1000 * seed + number))
-    return cases
+                start, goal = map(tuple, pair.tolist())
+                yield start, goal
 
 
 # ---- runs -----------------------------------------------------------------------------------

@@ -10,7 +10,17 @@ from typing import Any
 import numpy as np
 
 from fvs_lab.results import number_text
-from fvs_lab.trials import WHITE, Bump, Case, Conditions, Vector, make_cases, sees, simulation_of
+from fvs_lab.trials import (
+    WHITE,
+    Bump,
+    Case,
+    Conditions,
+    Vector,
+    along,
+    make_cases,
+    sees,
+    simulation_of,
+)
 from fvs_ros.topics import BALL, POSE
 
 #: Least and largest distance of start and target, m.
@@ -170,24 +180,13 @@ def draw_world(kind: Kind, number: int) -> World:
     while True:
         seed = int(rng.integers(2**31))
         case = make_cases(f"R{number}-", 1, seed, *DISTANCE_M, Conditions(kind.feature))[0]
-        turn_deg = _direction(rng, amount["camera_turn_deg"])
-        blow = Bump(
-            amount["bump_time_s"],
-            _direction(rng, amount["bump_turn_deg"]),
-            _direction(rng, amount["bump_shift_m"]),
-        )
-        bump = blow if bumped else None
+        names = ("camera_turn_deg", "bump_turn_deg", "bump_shift_m")
+        turn_deg, *blow = (along(rng.normal(size=3), amount[name]) for name in names)
+        bump = Bump(amount["bump_time_s"], *blow) if bumped else None
         distance_m = _visible_distance_m(case, turn_deg, bump, kind.feature)
         if distance_m is not None:
             conditions = replace(drawn, camera_turn_deg=turn_deg)
             return World(number, case, distance_m, conditions, bump)
-
-
-def _direction(rng: np.random.Generator, length: float) -> Vector:
-    """Draw a vector of this length, any direction as likely as another."""
-    vector = rng.normal(size=3)
-    x, y, z = (length * vector / np.linalg.norm(vector)).tolist()
-    return (x, y, z)
 
 
 def _visible_distance_m(

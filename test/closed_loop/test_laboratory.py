@@ -44,10 +44,8 @@ EXACT = Conditions(rendered=False)
 
 @pytest.mark.parametrize("name", [name for name in EXPERIMENTS if name not in ("everyday", "tags")])
 def test_a_quick_run_makes_a_complete_page(name, tmp_path):
-    trials = 2 if name == "robustness" else None
-    context = Context(
-        tmp_path, seeds=1, jobs=1, quick=True, rendered=False, nodes=False, trials=trials
-    )
+    seeds = 2 if name == "robustness" else 1
+    context = Context(tmp_path, seeds=seeds, jobs=1, quick=True, rendered=False, nodes=False)
     report = main.experiment_called(name).run(context)
     folder = context.folder(name)
     path = write_report(report, folder, Origin("", "", "", True))
@@ -135,7 +133,7 @@ def test_one_trial_is_looked_at_alone(tmp_path, capsys):
 
 
 def test_a_page_names_a_command_that_makes_it(tmp_path):
-    given = ["everyday", "--trials", "1", "--scheme", "rbf+pid"]
+    given = ["everyday", "--seeds", "1", "--scheme", "rbf+pid"]
     assert main.main([*given, "--jobs", "1", "--out", str(tmp_path)]) == 0
     page = (tmp_path / "index.md").read_text(encoding="utf-8")
     (command,) = re.findall(r"Made by `fvs_experiments (.*?)`", page)
