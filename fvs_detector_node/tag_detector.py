@@ -53,7 +53,6 @@ class TagDetector:
 
     def __init__(self, config: DetectorConfig) -> None:
         self._reader, self._tag = TagReader(config.tag), config.tag
-        self._faces = config.tag.faces
         self.gate = Gate(config.max_ball_speed_m_s)
         self._camera: CameraModel | None = None
         self._views: list[_View] = []
@@ -117,7 +116,7 @@ class TagDetector:
             all_px = np.concatenate([one.px for one in corners.values()])
             return Sighting(None, problem, _bounds(all_px))
         # Also where tags of the body are that were not seen.
-        corners_m = np.concatenate([one.corners_m for one in self._faces.values()])
+        corners_m = np.concatenate([one.corners_m for one in self._tag.faces.values()])
         body_px = intrinsics.project(corners_m @ pose.rotation.T + pose.position_m)
         view.seen = (stamp_s, _bounds(body_px))
         pose = view.in_camera(pose)

@@ -205,8 +205,8 @@ def _decode_file(data: object, flags: int) -> np.ndarray:
     _check_size(*_file_size(raw))
     try:
         pixels = cv2.imdecode(raw, flags)
-    except cv2.error as error:
-        raise MessageError(f"image does not decode: {str(error).splitlines()[0][:100]}") from error
+    except cv2.error:
+        pixels = None
     if pixels is None:
         raise MessageError(f"image of {len(raw)} bytes does not decode; it is damaged or cut off")
     return pixels
