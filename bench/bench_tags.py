@@ -2,7 +2,7 @@
 
 ``python -m bench tags``; FVS_BENCH_TAGS sets how many images are drawn (10,000), and ten times as
 many squares are projected. A drawn pose is wrong if its angle is off by 5 degrees, a projected one
-by 15: six of the deviations that are published at most.
+by ten standard deviations that the corners' noise makes, and by five degrees.
 
 ``python -m bench tags ./FOLDER`` compares with AprilTag's own detector (``pip install
 pupil-apriltags``) on photographs of 36h11 tags instead; the numbers of docs/tags.md are of
@@ -27,6 +27,16 @@ from fvs_detector_node.tags import Tag
 
 TAG = Tag(tag_size_m=SIZE_M)
 IMAGES = int(os.environ.get("FVS_BENCH_TAGS", "10000"))
+
+
+def bound_deg(rotation, position_m):
+    """Cramer-Rao bound of a pose's angle for one pixel of noise: its deviation, degrees."""
+    steps = np.eye(6) * 1e-6
+    moved = [
+        corners_px(cv2.Rodrigues(step[3:])[0] @ rotation, position_m + step[:3]) for step in steps
+    ]
+    slopes = np.array([(one - corners_px(rotation, position_m)).ravel() / 1e-6 for one in moved])
+    return float(np.degrees(np.trace(np.linalg.inv(slopes @ slopes.T)[3:, 3:]) ** 0.5))
 
 
 def angle_deg(one, other):
@@ -70,7 +80,8 @@ def projected(rng, noise_px):
         if seen is None:
             unsure += 1
         else:
-            wrong += angle_deg(seen.rotation, pose[0]) > 15.0
+            limit_deg = max(5.0, 10.0 * noise_px * bound_deg(*pose))
+            wrong += angle_deg(seen.rotation, pose[0]) > limit_deg
     share = unsure / (10 * IMAGES // 4)
     print(f"  noise of {noise_px:.2f} px: two poses fit {share:6.1%}, wrong {wrong}", flush=True)
 
