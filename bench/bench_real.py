@@ -29,7 +29,7 @@ from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.hand_eye import calibrate
 from fvs_estimator_node.hand_eye_model import tag_by_lens
 from fvs_ros.camera import camera_model
-from fvs_ros.feature import rotation_matrix
+from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.urdf import Kinematics
 from fvs_tools.table import read_table
 
@@ -90,7 +90,7 @@ def arm_of(model):
         points_m.append(pose[:3, 3])
         for axis, angle, shift in ((2, "theta_offset", "d"), (0, "alpha", "a")):
             step = np.eye(4)
-            step[:3, :3] = rotation_matrix(joint[angle] * np.eye(3)[axis])
+            step[:3, :3] = rotation_from_vector(joint[angle] * np.eye(3)[axis])
             step[axis, 3] = joint[shift]
             pose = pose @ step
     names = tuple(f"joint_{i + 1}" for i in range(len(model)))

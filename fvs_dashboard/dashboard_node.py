@@ -28,10 +28,11 @@ from fvs_dashboard.services_of_node import ANSWER_S, Services
 from fvs_estimator_node.files import MODELS, load_model
 from fvs_ros import ros, topics
 from fvs_ros.background import step_back
-from fvs_ros.feature import PoseFeature, from_quaternion
+from fvs_ros.feature import PoseFeature
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.paths import find_file
 from fvs_ros.ros.images import from_color, sampled_camera
+from fvs_ros.rotations import rotation_from_quaternion
 from fvs_tools.demo import choose_target
 
 #: Slightly lower priority than the loop: the buttons must work on a busy machine, too.
@@ -282,7 +283,7 @@ class DashboardNode(ros.FvsNode):
         if not isinstance(feature, PoseFeature):
             return given[:3]
         if len(given) > 3:
-            return feature.of(given[:3], from_quaternion(np.roll(given[3:], -1)))
+            return feature.of(given[:3], rotation_from_quaternion(np.roll(given[3:], -1)))
         last_m = self._target_m
         if last_m is None:
             last_m = self._board.newest("ball_position", self.steady_s())

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from fvs_ros.camera import CameraModel, Intrinsics
-from fvs_ros.feature import rotation_matrix
+from fvs_ros.rotations import rotation_from_vector
 
 #: A lens that sees by less beyond a pinhole of its focal length needs no other views, rad.
 _BEYOND_RAD = 0.1
@@ -117,5 +117,5 @@ def wide_views(camera: CameraModel) -> list[Rectifier]:
         if lens_rad - pinhole_rad > _BEYOND_RAD:
             # As far as the lens sees half of the view has something in it.
             tilt = np.array(axis) * (lens_rad - 0.5 * pinhole_rad)
-            views.append(Rectifier(camera, rotation_matrix(tilt)))
+            views.append(Rectifier(camera, rotation_from_vector(tilt)))
     return views

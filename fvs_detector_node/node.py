@@ -25,9 +25,9 @@ from fvs_detector_node.tag_detector import TagDetector
 from fvs_detector_node.tag_pose import TagPose
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
-from fvs_ros.feature import to_quaternion
 from fvs_ros.ros.images import from_color, from_depth
 from fvs_ros.ros.inputs import ArrivalMonitor
+from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.topics import CAMERA_PREFIXES
 
 T = TypeVar("T")
@@ -198,7 +198,7 @@ class DetectorNode(ros.FvsNode):
         exposed_s = pair.stamp_s - self._config.stamp_delay_s
         message: PointStamped | PoseStamped
         if isinstance(found, TagPose):
-            quaternion = to_quaternion(found.rotation)
+            quaternion = quaternion_from_rotation(found.rotation)
             message = ros.to_pose(exposed_s, frame, found.position_m, quaternion)
         else:
             message = ros.to_point(exposed_s, frame, found.position_m)

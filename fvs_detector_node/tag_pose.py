@@ -17,7 +17,7 @@ import numpy as np
 from fvs_detector_node.tag_corners import Corners
 from fvs_detector_node.tags import SQUARE, Tag
 from fvs_ros.camera import Intrinsics
-from fvs_ros.feature import rotation_angle_rad
+from fvs_ros.rotations import rotation_angle_rad
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from fvs_ros.feature import rotation_matrix
 from fvs_ros.params import Parameters, parameter
+from fvs_ros.rotations import rotation_from_vector
 
 #: Dictionaries of OpenCV, without its prefix; of two spellings, H and h, the latter.
 _NAMES = {number: name for name, number in sorted(vars(cv2.aruco).items()) if name[:5] == "DICT_"}
@@ -85,7 +85,7 @@ class Tag(Parameters):
         for number, (x, y) in enumerate(LAYOUTS[self.tag_layout], self.tag_id):
             rotation, middle_m = np.eye(3), self.pitch_m * np.array([x, y, 0.0])
             if self.tag_layout == "cube":
-                rotation = rotation_matrix(0.5 * np.pi * np.array([-y, x, 0.0]))
+                rotation = rotation_from_vector(0.5 * np.pi * np.array([-y, x, 0.0]))
                 middle_m = 0.5 * self.pitch_m * rotation[:, 2]
             faces[number] = Face(middle_m, rotation, middle_m + square_m @ rotation.T)
         return faces

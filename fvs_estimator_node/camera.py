@@ -17,7 +17,7 @@ import numpy as np
 from fvs_estimator_node.base import CHAIN, NETWORKS, Estimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import nearest_rotation, rotation_angle_rad
+from fvs_ros.rotations import nearest_rotation, rotation_angle_rad
 from fvs_ros.tracker import OUTLIER
 from fvs_ros.vectors import length
 

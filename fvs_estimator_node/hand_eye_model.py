@@ -19,7 +19,8 @@ from fvs_estimator_node.chain_fit import ChainFit
 from fvs_estimator_node.chain_start import Path
 from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain, cross_matrix
-from fvs_ros.feature import PoseFeature, rotation_matrix
+from fvs_ros.feature import PoseFeature
+from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.urdf import Kinematics
 
 #: Sine of the angle below which two axes are parallel.
@@ -177,7 +178,7 @@ class HandEyeModel:
 
     def camera(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turn and shift, m, from the arm's to the camera's frame."""
-        turn = rotation_matrix(values[self.at.turn])
+        turn = rotation_from_vector(values[self.at.turn])
         shift = turn @ (self._shift - self.middle) + self.middle + values[self.at.shift]
         return turn @ self._rotation, shift
 
@@ -202,7 +203,7 @@ class HandEyeModel:
         frames = [self.camera(values)]  # of what is behind each joint
         for i, twist in enumerate(values[at.links].reshape(-1, 6), 1):
             rotation, shift = frames[-1]
-            turn, pivot = rotation_matrix(twist[:3]), self._points[i]
+            turn, pivot = rotation_from_vector(twist[:3]), self._points[i]
             column = at.delay + 6 * (i - 1)
             local = _twists(twist[:3], pivot + twist[3:])
             twists[i, :, column : column + 6] = _adjoint(rotation, shift) @ local

@@ -9,7 +9,7 @@ from fvs_estimator_node.chain_chart import Chart
 from fvs_estimator_node.chain_fit import ChainFit, noise_by_direction
 from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import nearest_rotation
+from fvs_ros.rotations import nearest_rotation
 from fvs_ros.urdf import Kinematics
 
 

@@ -25,7 +25,8 @@ from fvs_lab.arms import collect, collected
 from fvs_lab.results import Results
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import PoseFeature, rotation_matrix, rotation_vector_rad
+from fvs_ros.feature import PoseFeature
+from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
 from fvs_ros.topics import BALL, POSE
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_sim_node.robot import ROBOTS, robot_of
@@ -89,9 +90,9 @@ def errors(
 
     An error of the first joint's zero turns the arm's frame as such.
     """
-    turn = rotation_matrix(-zeros[0] * arm().axes[0])
+    turn = rotation_from_vector(-zeros[0] * arm().axes[0])
     camera = simulation.camera
-    off = rotation_vector_rad(rotation @ (turn @ camera.rotation).T)
+    off = vector_from_rotation_rad(rotation @ (turn @ camera.rotation).T)
     return np.append(place_m - turn @ camera.position_m, off)
 
 
@@ -210,7 +211,7 @@ def least_squares_pose(
     )  # fmt: skip
 
     def chain(values: np.ndarray) -> SerialChain:
-        turn, middle = rotation_matrix(values[:3]), seen[:, :3].mean(axis=0)
+        turn, middle = rotation_from_vector(values[:3]), seen[:, :3].mean(axis=0)
         moved = start.moved(turn, middle - turn @ middle + values[3:6])
         return replace(moved, feature_m=pose.displaced(moved.feature_m, values[6:12]))
 

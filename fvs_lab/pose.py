@@ -31,7 +31,8 @@ from fvs_lab.trials import (
     simulation_of,
 )
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import PoseFeature, ServoedConfig, rotation_matrix
+from fvs_ros.feature import PoseFeature, ServoedConfig
+from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.topics import POSE
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import Simulation
@@ -97,7 +98,7 @@ class CalibratedTrial(Trial):
     def loop(self, simulation: Simulation) -> ClosedLoop:
         """The whole loop in a simulation that has been reset."""
         axis, way = np.random.default_rng(self.case.seed).normal(size=(2, 3))
-        turn = rotation_matrix(np.array(along(axis, np.radians(self.off[0]))))
+        turn = rotation_from_vector(np.array(along(axis, np.radians(self.off[0]))))
         shift_m = np.array(along(way, self.off[1]))
         chain = simulation.true_chain(_FEATURE).moved(turn, shift_m)
         values = {"law": self.variant.law, **self.variant.controller_values}
@@ -140,7 +141,7 @@ def bound_at_goal(run: tuple[Case, Conditions]) -> dict[str, float]:
     faces, pose = conditions.tag.faces, simulation.true_tag_pose()
 
     def corners_px(numbers: tuple[int, ...], moved: np.ndarray) -> np.ndarray:
-        turn = rotation_matrix(moved[3:]) @ pose.rotation
+        turn = rotation_from_vector(moved[3:]) @ pose.rotation
         points_m = np.concatenate([faces[number].corners_m for number in numbers])
         return simulation.intrinsics.project(points_m @ turn.T + pose.position_m + moved[:3])
 

@@ -14,7 +14,7 @@ for a pose, the rotation vector from the target times L. At x the motions of fea
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import acos, atan2, cos, degrees, pi, sin
+from math import degrees, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,12 @@ from fvs_ros import topics
 from fvs_ros.camera import FeatureConfig
 from fvs_ros.chain import cross_matrix
 from fvs_ros.params import parameter
+from fvs_ros.rotations import (
+    nearest_rotation,
+    quaternion_from_rotation,
+    rotation_from_vector,
+    vector_from_rotation_rad,
+)
 from fvs_ros.vectors import length
 
 _UNIT = np.eye(3)
@@ -30,8 +36,6 @@ _UNIT = np.eye(3)
 _HALF_TURN_RAD = 0.9 * pi
 #: A vector that is further from any pose is none, as a share of the lever arm.
 _NO_POSE = 0.01
-#: Slack of a unit quaternion.
-QUATERNION_SLACK = 0.01
 
 
 class Feature:
@@ -139,7 +143,7 @@ class PoseFeature(Feature):
         self, feature_m: np.ndarray, target_m: np.ndarray, last_m: np.ndarray | None = None
     ) -> np.ndarray:
         """The way, m, and the rotation vector times L, m, from the target: (6,)."""
-        turn = rotation_vector_rad(self.rotation(feature_m) @ self.rotation(target_m).T)
+        turn = vector_from_rotation_rad(self.rotation(feature_m) @ self.rotation(target_m).T)
         angle_rad = length(turn)
         if last_m is not None and angle_rad > _HALF_TURN_RAD and turn.dot(last_m[3:]) < 0.0:
             turn = turn * (1.0 - 2.0 * pi / angle_rad)
@@ -163,7 +167,7 @@ class PoseFeature(Feature):
 
     def displaced(self, feature_m: np.ndarray, step_m: np.ndarray) -> np.ndarray:
         """The pose, (12,), that is moved and turned by a task step, m, (6,)."""
-        turn = rotation_matrix(step_m[3:] / self.lever_arm_m)
+        turn = rotation_from_vector(step_m[3:] / self.lever_arm_m)
         axes = feature_m[3:].reshape(3, 3) @ turn.T
         return np.concatenate([feature_m[:3] + step_m[:3], axes.ravel()])
 
@@ -177,7 +181,7 @@ class PoseFeature(Feature):
 
     def place(self, feature_m: np.ndarray) -> str:
         """A pose, (12,), in words."""
-        turn = to_quaternion(self.rotation(feature_m))
+        turn = quaternion_from_rotation(self.rotation(feature_m))
         words = ", ".join(f"{one:.3f}" for one in turn)
         return f"{super().place(feature_m[:3])}, quaternion ({words})"
 
@@ -226,56 +230,3 @@ class ServoedConfig(FeatureConfig):
     def servoed(self) -> Feature:
         """The feature."""
         return PoseFeature(self.lever_arm_m) if self.feature == topics.POSE else Feature()
-
-
-def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation R of the largest ``tr(R' M)``, shape (3, 3)."""
-    left, _, right = np.linalg.svd(matrix)
-    left[:, 2] *= np.linalg.det(left @ right)  # -1 of a reflection
-    return np.asarray(left @ right)
-
-
-def rotation_angle_rad(rotation: np.ndarray) -> float:
-    """Angle of a rotation matrix, rad."""
-    return acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(rotation)) - 1.0))))
-
-
-def rotation_vector_rad(rotation: np.ndarray) -> np.ndarray:
-    """Axis times angle, rad, shape (3,), of a rotation matrix; the angle is at most pi."""
-    (_, a, b), (c, _, d), (e, f, _) = rotation.tolist()
-    twice = np.array([f - d, b - e, c - a])  # 2 sin(angle) times the axis
-    sine, cosine = 0.5 * length(twice), 0.5 * (float(np.trace(rotation)) - 1.0)
-    angle_rad = atan2(sine, cosine)
-    if cosine > -0.9:
-        return twice * (0.5 * angle_rad / sine if sine > 1e-9 else 0.5)
-    # Near half a turn the sine tells only the sign: R + R' = 2 cos + 2 (1 - cos) w w'.
-    products = 0.5 * (rotation + rotation.T) - cosine * _UNIT
-    axis = products[int(np.diagonal(products).argmax())]
-    axis = axis / length(axis)
-    return (angle_rad if axis.dot(twice) >= 0.0 else -angle_rad) * axis
-
-
-def rotation_matrix(vector_rad: np.ndarray) -> np.ndarray:
-    """Rotation matrix, (3, 3), of axis times angle, rad, (3,): Rodrigues' formula."""
-    angle_rad = length(vector_rad)
-    k = cross_matrix(vector_rad / max(angle_rad, 1e-12))
-    return np.asarray(_UNIT + sin(angle_rad) * k + (1.0 - cos(angle_rad)) * (k @ k))
-
-
-def from_quaternion(quaternion_xyzw: np.ndarray) -> np.ndarray:
-    """Rotation matrix, (3, 3), of a unit quaternion, (4,); a ``ValueError`` if it is none."""
-    size = length(quaternion_xyzw)
-    if not abs(size - 1.0) < QUATERNION_SLACK:
-        raise ValueError(f"expected a unit quaternion, got {quaternion_xyzw.tolist()}")
-    quaternion_xyzw = quaternion_xyzw / size
-    vector, w = quaternion_xyzw[:3], float(quaternion_xyzw[3])
-    k = cross_matrix(vector)
-    return np.asarray(_UNIT + 2.0 * w * k + 2.0 * (k @ k))
-
-
-def to_quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternion x, y, z, w, (4,), of a rotation matrix, (3, 3)."""
-    vector_rad = rotation_vector_rad(rotation)
-    half_rad = 0.5 * length(vector_rad)
-    share = 0.5 if half_rad < 1e-9 else sin(half_rad) / (2.0 * half_rad)
-    return np.append(share * vector_rad, cos(half_rad))

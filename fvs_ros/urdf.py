@@ -14,7 +14,7 @@ from xml.parsers import expat
 import numpy as np
 
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import rotation_matrix
+from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.vectors import LARGEST
 
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -317,7 +317,7 @@ def kinematics(
     for one in path:
         place_m = place_m + rotation @ np.array(one.xyz_m)
         for angle, about in zip(one.rpy_rad[::-1], np.eye(3)[::-1], strict=True):
-            rotation = rotation @ rotation_matrix(angle * about)
+            rotation = rotation @ rotation_from_vector(angle * about)
         if one.moves:
             axis = np.array(one.axis)
             if not np.linalg.norm(axis) > 1e-6:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from fvs_ros.feature import to_quaternion
+from fvs_ros.rotations import quaternion_from_rotation
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class CameraPose:
     @property
     def quaternion(self) -> np.ndarray:
         """``rotation`` as a unit quaternion (x, y, z, w)."""
-        return to_quaternion(self.rotation)
+        return quaternion_from_rotation(self.rotation)
 
 
 #: Named camera poses. ``front`` is in front of the arm and to its side, where the wrist rarely

@@ -20,7 +20,8 @@ from fvs_detector_node.images import Region
 from fvs_ros.arguments import how_to_install
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import PoseFeature, to_quaternion
+from fvs_ros.feature import PoseFeature
+from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.topics import POSE
 from fvs_ros.urdf import UrdfJoint
 from fvs_sim_node.camera import CameraPose
@@ -352,7 +353,7 @@ class World:
             plate = self._link_rotation() @ self._mount
             if self.tag.tag.extent_m[2] == 0.0:
                 foot = np.array(foot) - _BEHIND_M * plate[:, 2]
-            turn = to_quaternion(plate)
+            turn = quaternion_from_rotation(plate)
         self.client.resetBasePositionAndOrientation(self._rod, foot, state[5])
         self.client.resetBasePositionAndOrientation(self._ball, self.ball_position(), turn)
 

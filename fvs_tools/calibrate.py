@@ -20,8 +20,8 @@ from fvs_estimator_node.files import DataSet, load_data_set
 from fvs_estimator_node.hand_eye import calibrate
 from fvs_ros import console
 from fvs_ros.arguments import Parser, how_to_install
-from fvs_ros.feature import to_quaternion
 from fvs_ros.paths import find_file
+from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_tools.overlay import Photograph, draw, residual_px
@@ -105,7 +105,7 @@ def report(found: Calibration, photo: Photograph | None = None) -> str:
     """The printed summary; residuals in pixels with the camera of a photograph."""
     word, reason = found.verdict
     place = ", ".join(f"{1e3 * one:.1f}" for one in found.translation_m)
-    turn = ", ".join(f"{one:.5f}" for one in to_quaternion(found.rotation))
+    turn = ", ".join(f"{one:.5f}" for one in quaternion_from_rotation(found.rotation))
     carried = ", ".join(f"{1e3 * one:.1f}" for one in found.carried_m)
     lines = [
         "",
@@ -129,7 +129,7 @@ def report(found: Calibration, photo: Photograph | None = None) -> str:
 def static_transform(found: Calibration) -> str:
     """The command that publishes it."""
     names = ("x", "y", "z", "qx", "qy", "qz", "qw")
-    numbers = [*found.translation_m, *to_quaternion(found.rotation)]
+    numbers = [*found.translation_m, *quaternion_from_rotation(found.rotation)]
     words = " ".join(f"--{name} {one:.6f}" for name, one in zip(names, numbers, strict=True))
     frames = f"--frame-id {quote(found.arm.root)} --child-frame-id {quote(found.camera)}"
     return f"ros2 run tf2_ros static_transform_publisher {words} {frames}"
@@ -165,7 +165,7 @@ def content(found: Calibration, photo: Photograph | None = None) -> dict[str, An
         "parent_frame": found.arm.root,
         "camera_frame": found.camera,
         "translation_m": numbers(found.translation_m),
-        "rotation_xyzw": numbers(to_quaternion(found.rotation)),
+        "rotation_xyzw": numbers(quaternion_from_rotation(found.rotation)),
         "covariance": [numbers(row) for row in found.covariance],
         "verdict": word,
         "reason": reason,
@@ -173,7 +173,7 @@ def content(found: Calibration, photo: Photograph | None = None) -> dict[str, An
         "carried_m": numbers(found.carried_m),
         "carried_rotation_xyzw": None
         if found.carried_rotation is None
-        else numbers(to_quaternion(found.carried_rotation)),
+        else numbers(quaternion_from_rotation(found.carried_rotation)),
         "image_delay_s": float(f"{found.delay_s:.6g}"),
         "image_delay_deviation_s": float(f"{found.delay_deviation_s:.3g}"),
         "length_scale": float(f"{found.scale:.6f}"),

@@ -22,9 +22,9 @@ from fvs_estimator_node.files import DataSet, data_set_of
 from fvs_estimator_node.hand_eye import calibrate
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
-from fvs_ros.feature import to_quaternion
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.ros.images import from_color, sampled_camera
+from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_tools.calibrate import report, write
@@ -208,7 +208,7 @@ class CalibrateNode(ros.FvsNode):
         one.header.stamp = self.get_clock().now().to_msg()
         place, turn = one.transform.translation, one.transform.rotation
         place.x, place.y, place.z = found.translation_m.tolist()
-        turn.x, turn.y, turn.z, turn.w = to_quaternion(found.rotation).tolist()
+        turn.x, turn.y, turn.z, turn.w = quaternion_from_rotation(found.rotation).tolist()
         self._transforms = self.publisher(topics.TF_STATIC)
         self._transforms.publish(TFMessage(transforms=[one]))
         return True

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from fvs_ros.camera import Intrinsics
-from fvs_ros.feature import Feature, PoseFeature, ServoedConfig, from_quaternion
+from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
 from fvs_ros.params import parameter
+from fvs_ros.rotations import rotation_from_quaternion
 from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge, way_and_arc_m
 
 
@@ -67,7 +68,7 @@ def given_targets(text: str, feature: Feature) -> list[np.ndarray]:
         if len(numbers) != expected or not np.isfinite(numbers).all():
             raise ValueError(f"target_positions: expected {expected} finite numbers, got {part!r}")
         if isinstance(feature, PoseFeature):
-            numbers = feature.of(numbers[:3], from_quaternion(numbers[3:]))
+            numbers = feature.of(numbers[:3], rotation_from_quaternion(numbers[3:]))
         targets.append(numbers)
     return targets
 

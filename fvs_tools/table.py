@@ -18,7 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fvs_estimator_node.files import DataSet, data_set_of
-from fvs_ros.feature import PoseFeature, ServoedConfig, from_quaternion
+from fvs_ros.feature import PoseFeature, ServoedConfig
+from fvs_ros.rotations import rotation_from_quaternion
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.topics import BALL, POSE
 from fvs_ros.urdf import Kinematics
@@ -101,7 +102,7 @@ def _data_set(
         arm, joints = _as_arm(joints)
     if of_pose:
         of = PoseFeature(ServoedConfig.lever_arm_m).of
-        images = np.array([of(one[:3], from_quaternion(one[3:])) for one in images])
+        images = np.array([of(one[:3], rotation_from_quaternion(one[3:])) for one in images])
     timeline, samples = Timeline(), list[Sample]()
     events = [(float(stamp), 0, one) for stamp, one in zip(stamps_s[moved], joints, strict=True)]
     events += [(float(stamp), 1, one) for stamp, one in zip(stamps_s[seen], images, strict=True)]
@@ -125,7 +126,7 @@ def _data_set(
 
 def _as_arm(poses: np.ndarray) -> tuple[Kinematics, np.ndarray]:
     """An arm whose joints put its tip into a hand's poses; turns count from the mean one."""
-    turns = Rotation.from_matrix([from_quaternion(one) for one in poses[:, 3:]])
+    turns = Rotation.from_matrix([rotation_from_quaternion(one) for one in poses[:, 3:]])
     middle = turns.mean()
     angles = np.unwrap((turns * middle.inv()).as_euler("ZYX"), axis=0)
     return replace(_FREE, tip_rotation=middle.as_matrix()), np.hstack([poses[:, :3], angles])

@@ -19,8 +19,9 @@ from collections import deque
 import numpy as np
 
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import Feature, PoseFeature, rotation_matrix
+from fvs_ros.feature import Feature, PoseFeature
 from fvs_ros.joints import UR_JOINT_NAMES as NAMES
+from fvs_ros.rotations import rotation_from_vector
 
 #: Half width of the joints' box, rad: how far a collection may go.
 REACH_RAD = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
@@ -64,7 +65,7 @@ def with_tag(arm: SerialChain, feature: PoseFeature, rng: np.random.Generator) -
         found = SerialChain(
             np.vstack([arm.axes, axis]),
             np.vstack([arm.points_m, arm.feature_m + 0.1 * aside]),
-            feature.of(arm.feature_m, rotation_matrix(turn)),
+            feature.of(arm.feature_m, rotation_from_vector(turn)),
             np.append(arm.reference_rad, 0.2),
         )
         box = found.reference_rad + 0.5 * rng.uniform(-1.0, 1.0, (40, 7))

@@ -19,8 +19,9 @@ import numpy as np
 
 from fvs_controller_node.config import PARAMETERS
 from fvs_ros import topics
-from fvs_ros.feature import Feature, PoseFeature, ServoedConfig, from_quaternion
+from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
 from fvs_ros.joints import JointMap, JointStateError
+from fvs_ros.rotations import rotation_from_quaternion
 from fvs_ros.status import vector
 from fvs_tools.bag_reader import BagError, BagReader, RecordedJoints, open_bag
 from fvs_tools.scenario import read_yaml
@@ -282,7 +283,7 @@ class _Reading:
             return position_m
         turn = message.pose.orientation
         with suppress(ValueError):
-            rotation = from_quaternion(np.array([turn.x, turn.y, turn.z, turn.w]))
+            rotation = rotation_from_quaternion(np.array([turn.x, turn.y, turn.z, turn.w]))
             return self._feature.of(position_m, rotation)
         return None
 

@@ -19,13 +19,8 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from fvs_ros.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import (
-    QUATERNION_SLACK,
-    Feature,
-    PoseFeature,
-    from_quaternion,
-    to_quaternion,
-)
+from fvs_ros.feature import Feature, PoseFeature
+from fvs_ros.rotations import QUATERNION_SLACK, quaternion_from_rotation, rotation_from_quaternion
 from fvs_ros.vectors import length, plausible
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -132,7 +127,9 @@ def to_feature(
     """Message of a ball's position or a pose, m, (m,)."""
     if not isinstance(feature, PoseFeature):
         return to_point(stamp_s, frame, feature_m)
-    return to_pose(stamp_s, frame, feature_m[:3], to_quaternion(feature.rotation(feature_m)))
+    return to_pose(
+        stamp_s, frame, feature_m[:3], quaternion_from_rotation(feature.rotation(feature_m))
+    )
 
 
 def from_feature(
@@ -143,7 +140,7 @@ def from_feature(
         return from_point(message, frame, topic)
     _check_frame(message, frame, topic)
     position, quaternion = from_pose(message, topic)
-    return feature.of(position, from_quaternion(quaternion))
+    return feature.of(position, rotation_from_quaternion(quaternion))
 
 
 def to_sliding(

@@ -16,8 +16,9 @@ from fvs_estimator_node.hand_eye_checks import ordered
 from fvs_estimator_node.hand_eye_model import HandEyeModel
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.camera import CameraModel, Intrinsics
-from fvs_ros.feature import PoseFeature, rotation_angle_rad
+from fvs_ros.feature import PoseFeature
 from fvs_ros.paths import find_file
+from fvs_ros.rotations import rotation_angle_rad
 from fvs_ros.urdf import kinematics, read_joints
 from fvs_sim_node.camera import CAMERAS
 from fvs_sim_node.robot import HOME_JOINTS_RAD

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fvs_ros.feature import (
-    Feature,
-    PoseFeature,
-    from_quaternion,
+from fvs_ros.feature import Feature, PoseFeature
+from fvs_ros.rotations import (
     nearest_rotation,
-    rotation_matrix,
-    rotation_vector_rad,
-    to_quaternion,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_from_vector,
+    vector_from_rotation_rad,
 )
 
 LEVER_M = 0.3
@@ -36,14 +35,16 @@ def test_rotations_agree_with_scipy(rng, angle_rad):
         axis = rng.normal(size=3)
         vector = angle_rad * axis / np.linalg.norm(axis)
         reference = Rotation.from_rotvec(vector)
-        matrix = rotation_matrix(vector)
+        matrix = rotation_from_vector(vector)
         np.testing.assert_allclose(matrix, reference.as_matrix(), atol=1e-12)
-        found = Rotation.from_rotvec(rotation_vector_rad(matrix))
+        found = Rotation.from_rotvec(vector_from_rotation_rad(matrix))
         assert (found * reference.inv()).magnitude() < 1e-7
-        assert np.linalg.norm(rotation_vector_rad(matrix)) == pytest.approx(angle_rad, abs=1e-7)
-        quaternion = to_quaternion(matrix)
+        assert np.linalg.norm(vector_from_rotation_rad(matrix)) == pytest.approx(
+            angle_rad, abs=1e-7
+        )
+        quaternion = quaternion_from_rotation(matrix)
         assert np.linalg.norm(quaternion) == pytest.approx(1.0)
-        np.testing.assert_allclose(from_quaternion(quaternion), matrix, atol=1e-7)
+        np.testing.assert_allclose(rotation_from_quaternion(quaternion), matrix, atol=1e-7)
 
 
 def test_error_of_a_pose_is_way_and_turn(rng):
@@ -118,4 +119,4 @@ def test_what_is_no_pose_is_told(rng):
         assert not pose.is_one(wrong)
     for quaternion in (np.zeros(4), np.full(4, np.nan), np.array([0.0, 0.0, 0.0, 9.0])):
         with pytest.raises(ValueError, match="unit quaternion"):
-            from_quaternion(quaternion)
+            rotation_from_quaternion(quaternion)

@@ -10,7 +10,7 @@ from fvs_detector_node.detector import annotate
 from fvs_detector_node.tag_detector import TagDetector
 from fvs_detector_node.tags import Tag
 from fvs_ros.camera import Intrinsics, camera_model
-from fvs_ros.feature import rotation_angle_rad
+from fvs_ros.rotations import rotation_angle_rad
 
 _FISHEYE_PX = 640.0 / np.radians(80.0)
 
