@@ -54,7 +54,7 @@ experiments: $(VENV)/.installed-lab log-dir ## the paper's experiments, measured
 	@ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
 		$(BIN)/fvs_experiments $(or $(NAME),all) $(ARGS)
 
-replay: $(VENV)/.installed-lab log-dir ## figures and numbers of a recording, BAG=out/run_1; page in out/replay
+replay: $(VENV)/.installed-lab log-dir ## table and figure of a recording, BAG=out/run_1, into out/replay
 	@$(BIN)/fvs_experiments replay $(or $(BAG),$(error name the recording: make replay BAG=out/run_1)) $(ARGS)
 
 bench: $(VENV)/.installed-all log-dir ## measurements of bench/, as tables

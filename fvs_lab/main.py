@@ -10,6 +10,7 @@ import json
 import os
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from fvs_lab.experiment import Context, Experiment
 
 _NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
+_REPLAY_NEEDS = ("rosbags", "matplotlib")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -85,12 +87,23 @@ def _positive(text: str) -> int:
     return int(text)
 
 
+def _lacks(program: str, needs: Sequence[str], extras: str) -> bool:
+    """Whether packages are missing, which is then said."""
+    missing = [name for name in needs if importlib.util.find_spec(name) is None]
+    if missing:
+        needed = f"{program} needs {', '.join(missing)}"
+        print(f"{needed}: {how_to_install(extras, missing)}", file=sys.stderr)
+    return bool(missing)
+
+
 @console.reader_may_leave()
 def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_experiments``; returns the exit code."""
     given = sys.argv[1:] if argv is None else argv
     if given[:1] == ["replay"]:
-        from fvs_lab.replay.main import main as replay
+        if _lacks("fvs_experiments replay", _REPLAY_NEEDS, "record,lab"):
+            return EXIT_BAD_INPUT
+        from fvs_lab.replay import main as replay
 
         return replay(given[1:])
     parser = _parser()
@@ -101,12 +114,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments.camera = arguments.camera or ("exact" if arguments.name in LONG else "rendered")
     if arguments.name == "replay":
         parser.error("replay comes first: fvs_experiments replay BAG")
-    missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
-    if missing:
-        print(
-            f"fvs_experiments needs {', '.join(missing)}: {how_to_install('ros,sim,lab', missing)}",
-            file=sys.stderr,
-        )
+    if _lacks("fvs_experiments", _NEEDS, "ros,sim,lab"):
         return EXIT_BAD_INPUT
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)

@@ -123,14 +123,6 @@ class Origin:
     quick: bool
 
 
-@dataclass(frozen=True)
-class Heading:
-    """What stands above a page that is not the experiments': its title and a paragraph."""
-
-    title: str
-    lead: str
-
-
 def write_report(report: Report, folder: Path, origin: Origin) -> Path:
     """Write ``results.json`` into the experiment's folder, and return its path."""
     path = folder / RESULTS
@@ -140,7 +132,7 @@ def write_report(report: Report, folder: Path, origin: Origin) -> Path:
     return path
 
 
-def write_page(out: Path, names: Iterable[str], heading: Heading | None = None) -> Path:
+def write_page(out: Path, names: Iterable[str]) -> Path:
     """Write ``index.html`` from all results in a folder, pictures included; return its path.
 
     The names are those of the experiments' folders, in the order of the page. The Markdown beside
@@ -164,7 +156,7 @@ def write_page(out: Path, names: Iterable[str], heading: Heading | None = None) 
     for template, escape in (("page.html.jinja", True), ("page.md.jinja", False)):
         environment = _jinja(autoescape=escape, keep_trailing_newline=True)
         page = environment.from_string(_template_text(template))
-        text = page.render(reports=reports, heading=heading)
+        text = page.render(reports=reports)
         (out / template.replace("page", "index").removesuffix(".jinja")).write_text(text, "utf-8")
     return out / "index.html"
 

@@ -8,10 +8,8 @@ cannot be understood (a channel of JSON, a service's events) is passed over.
 from __future__ import annotations
 
 import contextlib
-import re
 import shutil
 import sqlite3
-import struct
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from heapq import merge
@@ -19,14 +17,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Rosbag1
 from rosbags.rosbag2.storage_mcap import McapReader, Schema, zstd
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_tools.bag import NOTES
 from fvs_tools.scenario import read_yaml_file
 
@@ -71,10 +67,10 @@ class BagReader:
         return (first + last) // 2 if first < last else None
 
     def messages(
-        self, connections: Collection[Connection] = (), start: int | None = None
+        self, connections: Collection[Connection] | None = None, start: int | None = None
     ) -> Iterator[tuple[Connection, int, bytes]]:
         """Connection, time of arrival, ns, and bytes of each message in order of arrival."""
-        chosen = connections or self.connections
+        chosen = self.connections if connections is None else connections
         parts = []
         for storage in self._storages:
             own = [one for one in storage.connections if any(one is some for some in chosen)]
@@ -88,38 +84,6 @@ class BagReader:
         """The message in some bytes of a type."""
         read = self.typestore.deserialize_ros1 if self._ros1 else self.typestore.deserialize_cdr
         return read(raw, kind)
-
-    def stamp_s(self, raw: bytes) -> float:
-        """Stamp of a message that begins with a header, s; NaN for none."""
-        # Before it CDR has the order of bytes, and ROS 1, which knows one order, a number.
-        order = "<" if self._ros1 or raw[1] & 1 else ">"
-        seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, 4)
-        return seconds + nanoseconds * 1e-9 if seconds or nanoseconds else np.nan
-
-
-class RecordedJoints:
-    """Judges the joint states of a bag as the controller does."""
-
-    def __init__(self, joint_map: JointMap) -> None:
-        self._map = joint_map
-        #: What was wrong with any, by its kind: when first, s, in words, and how often.
-        self.problems: dict[str, tuple[float, str, int]] = {}
-        #: What devices had joint states of their own.
-        self.foreign = ""
-
-    def take(self, message: Any, arrival_s: float) -> np.ndarray | None:
-        """Positions, rad, (n,), kinematic order; None where they cannot be used."""
-        stamp = message.header.stamp
-        stamp_s = stamp.sec + stamp.nanosec * 1e-9
-        try:
-            return self._map.positions(message.name, message.position, stamp_s)
-        except ForeignJointsError as error:
-            self.foreign = str(error)
-        except JointStateError as error:
-            kind = re.sub(r"\d+", "", str(error))
-            first_s, words, times = self.problems.get(kind, (arrival_s, str(error), 0))
-            self.problems[kind] = first_s, words, times + 1
-        return None
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -98,12 +98,11 @@ class TargetRecord:
 def score(record: TargetRecord) -> TargetScore:
     """Score one target by the truth."""
     velocities = np.array([velocity for _, velocity in record.joints])
-    judged = judge(record.feature, *record.errors_m(), velocities)
-    return replace(judged, slowed=record.slowed)
+    return judge(record.feature, *record.errors_m(), velocities)
 
 
-def table(scores: list[TargetScore]) -> str:
-    """The scores as text."""
+def table(scores: Sequence[TargetScore], notes: Sequence[str]) -> str:
+    """The scores as text, with a note behind each."""
 
     def seconds(value: float | None) -> str:
         return "never" if value is None else f"{value:.2f} s"
@@ -116,9 +115,8 @@ def table(scores: list[TargetScore]) -> str:
     rows = [
         f"{number:>6}  {s.start_distance_m * 1e3:>5.0f} mm  {seconds(s.settling_5mm_s):>9}  "
         f"{seconds(s.settling_2mm_s):>9}  {s.final:>{width}}  "
-        f"{s.peak_joint_speed_rad_s:>10.2f} rad/s"
-        + ("  slowed: inputs came late" if s.slowed else "")
-        for number, s in enumerate(scores, start=1)
+        f"{s.peak_joint_speed_rad_s:>10.2f} rad/s" + (f"  {note}" if note else "")
+        for number, (s, note) in enumerate(zip(scores, notes, strict=True), start=1)
     ]
     return "\n".join([head, *rows])
 

@@ -164,7 +164,8 @@ class DemoNode(ros.FvsNode):
         demo.write_results(folder, self._records, scores)
         names, view = self._joint_map.names, (self._image_rgb, self._intrinsics)
         demo.draw(folder / "demo.png", self._records, names, *view)
-        print(f"\n{demo.table(scores)}\n", flush=True)
+        notes = ["slowed: inputs came late" * record.slowed for record in self._records]
+        print(f"\n{demo.table(scores, notes)}\n", flush=True)
         print(f"figure: {folder / 'demo.png'}", flush=True)
         settled = all(one.settling_5mm_s is not None for one in scores)
         self.exit_code = stop.EXIT_OK if settled else stop.EXIT_FAILURE

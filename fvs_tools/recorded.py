@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,12 @@ import numpy as np
 from fvs_estimator_node.chain_start import LEAST_RUN, MAX_OFFSET_S
 from fvs_estimator_node.files import DataSet, data_set_of
 from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
-from fvs_ros.joints import JointMap
+from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.ros import from_camera_info, from_feature, from_stamp
 from fvs_ros.ros.images import from_color
 from fvs_ros.timeline import History, Sample, Timeline
 from fvs_ros.topics import BALL, BALL_POSITION, JOINT_STATES, POSE, TOOL_POSE
-from fvs_tools.bag_reader import BagReader, RecordedJoints, open_bag
+from fvs_tools.bag_reader import BagReader, open_bag
 from fvs_tools.overlay import Photograph
 
 _POINT, _POSE = "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped"
@@ -122,26 +121,29 @@ def _paired(
     names = list(arm)
     while heard & {*names} and names[-1] not in heard:
         names.pop()
-    judged, timeline = RecordedJoints(JointMap(names)), Timeline()
-    samples, rests = list[Sample](), list[bool]()
+    joint_map, timeline = JointMap(names), Timeline()
+    samples, rests, problems, foreign = list[Sample](), list[bool](), list[str](), ""
     for is_joints, message in messages:
         stamp_s, new = from_stamp(message.header.stamp), list[Sample]()
         if is_joints:
-            joints = judged.take(message, stamp_s)
-            if joints is not None:
+            try:
+                joints = joint_map.positions(message.name, message.position, stamp_s)
                 new = timeline.add_joints(stamp_s, joints)
+            except ForeignJointsError as error:
+                foreign = str(error)
+            except JointStateError as error:
+                problems.append(str(error))
         else:
             with suppress(ValueError):  # no position, or no pose
                 vector_m = from_feature(message, feature, message.header.frame_id, "ball or tag")
                 new = timeline.add_feature(stamp_s, vector_m)
         samples += new
         rests += [_at_rest(timeline.joints, one) for one in new]
-    _, worst, times = max(judged.problems.values(), key=itemgetter(2), default=(0.0, "", 0))
-    if worst:
-        notes.insert(0, f"{times} joint states cannot be used: {worst}"[:400])
+    if problems:
+        notes.insert(0, f"{len(problems)} joint states cannot be used: {problems[0]}"[:400])
     if not samples:
-        foreign = judged.foreign if timeline.joints.newest is None else ""
-        why = "; ".join(notes) or foreign or timeline.last_reason
+        no_arm = foreign if timeline.joints.newest is None else ""
+        why = "; ".join(notes) or no_arm or timeline.last_reason
         raise ValueError(
             f"{path}: no image has joint states at its stamp: {why or 'is there one clock?'}"
         )

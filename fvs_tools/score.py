@@ -24,7 +24,6 @@ class TargetScore:
     settling_2mm_s: float | None
     final_rms_m: float
     peak_joint_speed_rad_s: float
-    slowed: bool = False
     final_rms_deg: float | None = None
 
     @property

@@ -9,9 +9,7 @@ from fvs_tools import launcher
 
 pytest.importorskip("rosbags")
 
-from replayed_bags import TYPES
-
-from fvs_tools.bag import Message, SimulatedTime
+from fvs_tools.bag import TYPES, Message, SimulatedTime
 
 # --- the launcher ---
 

@@ -1,0 +1,366 @@
+"""``fvs_experiments replay BAG``: how each target of a recording went, without ROS."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from math import inf
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fvs_controller_node.config import default_values
+from fvs_controller_node.reasons import Reason, State
+from fvs_controller_node.target_motion import continues
+from fvs_lab.figures import bound_line, grid, legend, save
+from fvs_ros import topics
+from fvs_ros.arguments import Parser
+from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
+from fvs_ros.joints import JointMap
+from fvs_ros.rotations import rotation_from_quaternion
+from fvs_ros.status import SILENT_S, vector
+from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
+from fvs_ros.vectors import plausible
+from fvs_tools.bag_reader import BagError, open_bag
+from fvs_tools.demo import table
+from fvs_tools.scenario import read_yaml
+from fvs_tools.score import SETTLED_ERROR_M, TargetScore, judge, way_and_arc_m
+
+COMMAND = "fvs_experiments replay"
+#: A stamp further than this from the arrival, s, is by another clock, or of a latched message.
+_OWN_CLOCK_S = 5.0
+#: The status shows a target at most so long after it came, s, and so exactly, m.
+_SHOWN_S, _SHOWN_M = 0.25, 0.001
+_COLOURS = {
+    State.WAITING.name: "#bbbbbb",
+    State.READY.name: "#9ecae1",
+    State.SERVOING.name: "#5fb88f",
+    State.HOLDING.name: "#e69f00",
+    State.FAULT.name: "#c0392b",
+}
+#: States of an arm that was started.
+_STARTED = (State.SERVOING.name, State.HOLDING.name, State.FAULT.name)
+
+
+class Series(NamedTuple):
+    """Usable messages of one topic: times, s, (n,), in order, and numbers, (n, k)."""
+
+    time_s: np.ndarray
+    values: np.ndarray
+
+    def between(self, start_s: float, end_s: float) -> Series:
+        """The messages from a start to an end, both included."""
+        start = np.searchsorted(self.time_s, start_s)
+        end = np.searchsorted(self.time_s, end_s, side="right")
+        return Series(self.time_s[start:end], self.values[start:end])
+
+
+_NOTHING = Series(np.empty(0), np.empty((0, 0)))
+
+
+class Status(NamedTuple):
+    """A status of the controller: its arrival, s, and the target that it shows, m."""
+
+    time_s: float
+    state: str
+    reason: str
+    target_m: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a bag holds.
+
+    ``series`` may have ``joints`` (velocities, rad/s), ``seen``, ``true`` and ``target`` (features,
+    m), ``velocities`` and ``positions`` (commands, rad/s and rad).
+    """
+
+    feature: Feature
+    cut_off: bool
+    #: First and last arrival, s.
+    start_s: float
+    end_s: float
+    series: Mapping[str, Series]
+    statuses: Sequence[Status]
+
+
+class Target(NamedTuple):
+    """A target: when it was set, s, the errors, m, at times, s, (n,), and the last reason."""
+
+    set_s: float
+    time_s: np.ndarray
+    errors_m: np.ndarray
+    score: TargetScore
+    reason: str
+
+
+# ---- reading --------------------------------------------------------------------------------
+
+
+def read(path: Path, namespace: str | None = None) -> Recording:
+    """Read a bag: the folder of a rosbag2 (MCAP or SQLite), its one file, or a bag of ROS 1.
+
+    The namespace is that of the nodes; it is needed where the bag holds several robots. A
+    ``ValueError`` says why a bag cannot be used.
+    """
+    with open_bag(path) as reader:
+        started, declared = _notes(reader.notes)
+        names = [declared.get(one.topic, one.topic) for one in reader.connections]
+        ends = {name.rpartition("/")[2] for name in names}
+        if topics.TOOL_POSE.name in ends and topics.BALL_POSITION.name not in ends:
+            started.setdefault("feature", topics.POSE)
+        started = default_values() | started
+        config = {name: started[name] for name in ("feature", "lever_arm_m")}
+        feature = ServoedConfig(**config).servoed
+        joint_map = JointMap(started["joint_names"], started["tf_prefix"])
+        keys = {
+            topics.JOINT_STATES: "joints",
+            feature.seen: "seen",
+            feature.truth: "true",
+            feature.target: "target",
+            topics.COMMANDS: "velocities",
+            topics.POSITION_COMMANDS: "positions",
+            topics.CONTROLLER_STATUS: "status",
+        }
+        ours = [
+            (name.removesuffix(topic.name).strip("/"), one, key)
+            for name, one in zip(names, reader.connections, strict=True)
+            for topic, key in keys.items()
+            if name.endswith(f"/{topic.name}") and one.msgtype == topic.type
+        ]
+        robots = sorted({robot for robot, _, _ in ours})
+        if namespace is not None:
+            robots = [one for one in robots if one == namespace.strip("/")]
+        if len(robots) > 1:
+            listed = ", ".join(f"'/{one}'" for one in robots)
+            raise BagError(f"it holds several robots, name one by --namespace: {listed}")
+        own = {(one.topic, one.msgtype): key for robot, one, key in ours if robot in robots}
+        chosen = [one for robot, one, _ in ours if robot in robots]
+        arrivals_s, statuses = list[float](), list[Status]()
+        found: dict[str, list[tuple[float, np.ndarray]]] = {}
+        for connection, time_ns, raw in reader.messages(chosen):
+            message = reader.deserialize(raw, connection.msgtype)
+            key, arrival_s = own[connection.topic, connection.msgtype], time_ns * 1e-9
+            arrivals_s.append(arrival_s)
+            if key == "status":
+                statuses.append(_status(arrival_s, message))
+            else:
+                with suppress(ValueError):  # the nodes refuse it, too
+                    numbers = _numbers(message, feature, joint_map)
+                    found.setdefault(key, []).append((_time_s(arrival_s, message), numbers))
+        if not arrivals_s:
+            wanted, held = ", ".join(topic.name for topic in keys), ", ".join(names)
+            raise BagError(f"it holds none of {wanted}; it has {held or 'no messages'}")
+        return Recording(
+            feature=feature,
+            cut_off=reader.cut_off,
+            start_s=arrivals_s[0],
+            end_s=arrivals_s[-1],
+            series={key: _series(rows) for key, rows in found.items()},
+            statuses=statuses,
+        )
+
+
+def _notes(notes: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """The controller's parameters as started; and remapped topics, with their declared names."""
+    scenario, remaps = (read_yaml(str(notes.get(n, ""))) or {} for n in ("scenario", "remaps"))
+    started: dict[str, Any] = {}
+    for node, content in scenario.items():
+        if node.endswith(topics.CONTROLLER):
+            started |= content["ros__parameters"]
+    return started, {other: name for name, other in remaps.items()}
+
+
+def _time_s(arrival_s: float, message: Any) -> float:
+    """The stamp of a message, s, or its arrival where it has none by the same clock."""
+    if not hasattr(message, "header"):
+        return arrival_s
+    stamp_s = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+    return stamp_s if abs(arrival_s - stamp_s) < _OWN_CLOCK_S else arrival_s
+
+
+def _numbers(message: Any, feature: Feature, joint_map: JointMap) -> np.ndarray:
+    """Joint velocities, a command, or a feature; a ``ValueError`` if they cannot be used."""
+    if hasattr(message, "velocity"):
+        return joint_map.positions(message.name, message.velocity)
+    if hasattr(message, "data"):
+        values = np.array(message.data)
+    else:
+        at = message.point if hasattr(message, "point") else message.pose.position
+        values = np.array([at.x, at.y, at.z])
+        if isinstance(feature, PoseFeature):
+            turn = message.pose.orientation
+            quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
+            values = feature.of(values, rotation_from_quaternion(quaternion))
+    if not plausible(values):
+        raise ValueError("not finite, or too large")
+    return values
+
+
+def _series(rows: list[tuple[float, np.ndarray]]) -> Series:
+    """The messages with as many numbers as the first, in the order of their times."""
+    size = rows[0][1].size
+    alike = sorted((one for one in rows if one[1].size == size), key=lambda one: one[0])
+    time_s, values = zip(*alike, strict=True)
+    return Series(np.array(time_s), np.array(values))
+
+
+def _status(arrival_s: float, message: Any) -> Status:
+    values = {pair.key: pair.value for pair in message.values}
+    target_m = vector(values, "target_{}_m")
+    return Status(arrival_s, values.get("state", ""), values.get("reason", ""), target_m)
+
+
+# ---- the targets ----------------------------------------------------------------------------
+
+
+def targets(recording: Recording) -> list[Target]:
+    """Score every target that the controller took, by the true feature where the bag has it."""
+    given = recording.series.get("target")
+    if given is None:
+        return []
+    changed = np.append(True, np.diff(given.values, axis=0).any(axis=1))
+    given = Series(given.time_s[changed], given.values[changed])
+    steps = zip(np.diff(given.values, axis=0), np.diff(given.time_s), strict=True)
+    starts = [0, *(i for i, step in enumerate(steps, 1) if not continues(*step))]
+    runs = [Series(given.time_s[i:j], given.values[i:j]) for i, j in pairwise([*starts, None])]
+    found = []
+    end_s = next_s = inf
+    for run in reversed(runs):
+        start_s = run.time_s[0]
+        statuses = [one for one in recording.statuses if start_s <= one.time_s < end_s]
+        later = [one for one in statuses if start_s + _SHOWN_S <= one.time_s < next_s]
+        shown = [_shows(one, run) for one in later if one.target_m is not None]
+        next_s = start_s
+        if shown and not any(shown):
+            continue  # the controller refused it
+        found.append(_judged(recording, run, statuses, end_s))
+        end_s = start_s
+    return found[::-1]
+
+
+def _shows(status: Status, run: Series) -> bool:
+    """Whether a status is of this target; a moving one is not compared."""
+    if status.target_m is None or len(run.time_s) > 1:
+        return len(run.time_s) > 1
+    return bool(np.abs(status.target_m - run.values[0, :3]).max() < _SHOWN_M)
+
+
+def _judged(recording: Recording, run: Series, statuses: Sequence[Status], end_s: float) -> Target:
+    """Judge a target until the next one, or until the arm is stopped or the target left."""
+    feature, series, start_s = recording.feature, recording.series, run.time_s[0]
+    begun, reason = False, ""
+    for one in statuses:
+        started = one.state in _STARTED and one.reason != Reason.SHUT_DOWN.name
+        if begun and not (started and _shows(one, run)):
+            end_s = one.time_s
+            break
+        begun, reason = begun or (started and _shows(one, run)), one.reason
+    seen = series.get("true") or series.get("seen") or _NOTHING
+    time_s, seen_m = seen.between(start_s, end_s)
+    wanted_m = run.values[np.searchsorted(run.time_s, time_s, side="right") - 1]
+    errors_m = np.array(list(map(feature.error, seen_m, wanted_m)))
+    if not time_s.size:
+        time_s, errors_m = np.array([start_s]), np.full((1, feature.task_scale.size), np.nan)
+    speeds_rad_s = series.get("joints", _NOTHING).between(start_s, end_s).values
+    if not speeds_rad_s.size:
+        speeds_rad_s = np.full((1, 1), np.nan)
+    score = judge(feature, time_s - start_s, errors_m, speeds_rad_s)
+    return Target(start_s, time_s, np.maximum(*way_and_arc_m(errors_m)), score, reason)
+
+
+# ---- table and figure -----------------------------------------------------------------------
+
+
+def write_table(path: Path, recording: Recording, found: Sequence[Target]) -> None:
+    """Write a line per target as CSV, in SI units; a settling time is empty if never reached."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        names = ["target", "set_s", *TargetScore.__dataclass_fields__, "reason"]
+        writer = csv.DictWriter(file, names)
+        writer.writeheader()
+        for number, one in enumerate(found, start=1):
+            when = {"target": number, "set_s": one.set_s - recording.start_s}
+            writer.writerow({**when, **asdict(one.score), "reason": one.reason})
+
+
+def draw(path: Path, recording: Recording, found: Sequence[Target]) -> None:
+    """Draw errors and commands over time into a PNG file, and the controller's states as bands."""
+    start_s = recording.start_s
+    figure, axes = grid(2, 1, (12, 7), sharex=True)
+    error, command = axes[:, 0]
+    for state, reason, begin_s, end_s in _bands(recording):
+        look = {"color": _COLOURS.get(state, "#555555"), "alpha": 0.3, "linewidth": 0.0}
+        for axis in (error, command):
+            axis.axvspan(begin_s - start_s, end_s - start_s, label=state, **look)
+        if state in (State.HOLDING.name, State.FAULT.name):
+            place = error.get_xaxis_transform()
+            error.text(begin_s - start_s, 0.02, reason, rotation=90, size=8, transform=place)
+    for number, one in enumerate(found, start=1):
+        time_s, error_mm = one.time_s - start_s, np.maximum(1e3 * one.errors_m, 0.01)
+        error.plot(time_s, error_mm, color="black", linewidth=1.1)
+        error.annotate(str(number), (time_s[0], error_mm[0]))
+    bound_line(error, 1e3 * SETTLED_ERROR_M)
+    error.set(yscale="log", ylabel=f"distance of the {recording.feature.what}\nto its target, mm")
+    for kind, unit in (("velocities", "rad/s"), ("positions", "rad")):
+        if kind in recording.series:
+            time_s, values = recording.series[kind]
+            labels = [f"joint {joint}" for joint in range(1, 1 + values.shape[1])]
+            command.plot(time_s - start_s, values, linewidth=1.1, label=labels)
+            command.set(ylabel=f"commanded joint {kind}, {unit}")
+    command.set(xlabel="time since the recording began, s")
+    legend(figure, 8)
+    save(figure, path)
+
+
+def _bands(recording: Recording) -> list[tuple[str, str, float, float]]:
+    """State, reason, start and end, s, of equal statuses in a row; none while it was silent."""
+    found: list[tuple[str, str, float, float]] = []
+    ends_s = [*(one.time_s for one in recording.statuses[1:]), recording.end_s]
+    for one, next_s in zip(recording.statuses, ends_s, strict=False):
+        end_s, start_s = min(next_s, one.time_s + SILENT_S), one.time_s
+        if found and found[-1][:2] == (one.state, one.reason) and found[-1][3] == start_s:
+            start_s = found.pop()[2]
+        found.append((one.state, one.reason, start_s, end_s))
+    return found
+
+
+# ---- the program ----------------------------------------------------------------------------
+
+
+def main(argv: list[str]) -> int:
+    """Read a bag, write and print what is in it; the exit code says how it went."""
+    parser = Parser(COMMAND, __doc__)
+    parser.add_argument("bag", type=Path, help="folder of a rosbag2, or its one file")
+    parser.add_argument(
+        "--out", type=Path, help="folder of the results (default: out/replay/ and the bag's name)"
+    )
+    parser.add_argument("--namespace", help="of the nodes, where the bag holds several robots")
+    arguments = parser.parse_args(argv)
+    out = arguments.out or Path("out/replay") / arguments.bag.resolve().name
+    try:
+        recording = read(arguments.bag, arguments.namespace)
+    except ValueError as error:
+        return _refuse(str(error))
+    found = targets(recording)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_table(out / "targets.csv", recording, found)
+        draw(out / "replay.png", recording, found)
+    except OSError as error:
+        return _refuse(f"cannot write to {out}: {error.strerror}; name another folder by --out")
+    if recording.cut_off:
+        print("The bag was cut off: the end of the run, with the final stop, is missing.")
+    notes = [f"set at {one.set_s - recording.start_s:.1f} s, {one.reason}" for one in found]
+    print(table([one.score for one in found], notes))
+    print(f"figure: {out / 'replay.png'}")
+    return EXIT_OK
+
+
+def _refuse(why: str) -> int:
+    print(f"{COMMAND}: {why}", file=sys.stderr)
+    return EXIT_BAD_INPUT

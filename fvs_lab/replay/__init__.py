@@ -1,1 +1,0 @@
-"""What a recording shows, of simulation or of a real robot; needs no ROS."""
