@@ -6,6 +6,7 @@ from fvs_ros import stop
 
 stop.listen()
 
+import os
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -27,7 +28,6 @@ from fvs_dashboard.picture import Picture
 from fvs_dashboard.services_of_node import ANSWER_S, Services
 from fvs_estimator_node.files import MODELS, load_model
 from fvs_ros import ros, topics
-from fvs_ros.background import step_back
 from fvs_ros.feature import PoseFeature
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.paths import find_file
@@ -35,8 +35,6 @@ from fvs_ros.ros.images import from_color, sampled_camera
 from fvs_ros.rotations import rotation_from_quaternion
 from fvs_tools.demo import choose_target
 
-#: Slightly lower priority than the loop: the buttons must work on a busy machine, too.
-_NICE = 5
 _PERIOD_S, _LOOK_PERIOD_S = 0.1, 1.0
 #: Time after a reset until the ball rests and is seen there, s.
 _AT_REST_S = 1.0
@@ -90,7 +88,6 @@ class DashboardNode(ros.FvsNode):
             self.tell(
                 ros.WARN, "anybody who reaches this page can move the arm: it asks no password"
             )
-        step_back(_NICE)
 
     def _subscribe(self) -> None:
         # Not latched: a controller that starts later must not move to an old target.
@@ -322,6 +319,7 @@ def _make_page(config: DashboardConfig, joint_names: Sequence[str], actions: Act
 
 def main() -> int:
     """Run ``fvs_dashboard``."""
+    os.nice(5)  # behind the loop, but the buttons must work on a busy machine, too
     return ros.run(DashboardNode, __doc__, PARAMETERS)
 
 

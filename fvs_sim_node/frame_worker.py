@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import multiprocessing
+import os
 import signal
 from dataclasses import replace
 from multiprocessing.connection import Connection
@@ -18,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from fvs_ros.background import step_back
 from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import BallObservation, photograph
@@ -75,7 +75,7 @@ def _arrays(memory: tuple[Any, Any], config: SimConfig) -> tuple[np.ndarray, np.
 def _work(pipe: Connection, memory: tuple[Any, Any], config: SimConfig) -> None:
     # Ctrl-C reaches the whole terminal group; this process ends with its pipe.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    step_back(own_session=True)
+    os.nice(19)  # the lowest priority: images must not slow down the control loop
     world = World(config)
     renderer = Renderer(world.client, config.intrinsics)
     rng = np.random.default_rng(config.seed)
