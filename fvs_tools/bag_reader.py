@@ -21,13 +21,14 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Rosbag1
 from rosbags.rosbag2.storage_mcap import McapReader, Schema, zstd
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
-from fvs_tools.bag import NOTES
+from fvs_tools.bag import NOTES, TYPES
 from fvs_tools.scenario import read_yaml_file
 
 _METADATA, _MCAP, _SQLITE, _ROS1 = "metadata.yaml", ".mcap", ".db3", ".bag"
 _COMPRESSED = (".zstd", ".zst")
+_ROS1_TYPES = get_typestore(Stores.ROS1_NOETIC)
 #: An MCAP file begins and ends with it.
 _MAGIC = b"\x89MCAP0\r\n"
 #: A message that is compressed begins with it; one in CDR begins with zero.
@@ -48,16 +49,13 @@ class BagReader:
         self.notes = notes
         self._storages = storages
         self._ros1 = any(isinstance(one, Rosbag1) for one in storages)
-        self.typestore = get_typestore(Stores.ROS1_NOETIC if self._ros1 else Stores.ROS2_JAZZY)
-        every = [one for storage in storages for one in storage.connections]
         #: One for each topic of each file.
         self.connections: list[Connection] = [
-            one for one in every if getattr(one.ext, "serialization_format", "cdr") == "cdr"
+            one
+            for storage in storages
+            for one in storage.connections
+            if getattr(one.ext, "serialization_format", "cdr") == "cdr"
         ]
-        for one in self.connections:
-            if one.msgtype not in self.typestore.fielddefs:
-                with suppress(Exception):  # then its messages are counted, but not read
-                    self.typestore.register(get_types_from_msg(one.msgdef.data, one.msgtype))
 
     @property
     def middle_ns(self) -> int | None:
@@ -81,9 +79,8 @@ class BagReader:
             yield connection, time_ns, whole
 
     def deserialize(self, raw: bytes, kind: str) -> Any:
-        """The message in some bytes of a type."""
-        read = self.typestore.deserialize_ros1 if self._ros1 else self.typestore.deserialize_cdr
-        return read(raw, kind)
+        """The message in some bytes of one of ROS's own types."""
+        return (_ROS1_TYPES.deserialize_ros1 if self._ros1 else TYPES.deserialize_cdr)(raw, kind)
 
 
 @contextmanager

@@ -9,6 +9,8 @@ from fvs_tools import launcher
 
 pytest.importorskip("rosbags")
 
+from replayed_bags import message
+
 from fvs_tools.bag import TYPES, Message, SimulatedTime
 
 # --- the launcher ---
@@ -39,17 +41,9 @@ def test_a_recorder_that_cannot_begin_ends_the_launch(tmp_path, monkeypatch, cap
 # --- time ---
 
 
-def message(topic, stamp_ns, kind, *fields):
-    data = bytes(TYPES.serialize_cdr(TYPES.types[kind](*fields), kind))
-    return Message(topic, kind, stamp_ns, data)
-
-
-def time_of(seconds, nanoseconds=0):
-    return TYPES.types["builtin_interfaces/msg/Time"](seconds, nanoseconds)
-
-
 def clock(seconds, nanoseconds):
-    return message("/clock", 2, "rosgraph_msgs/msg/Clock", time_of(seconds, nanoseconds))
+    time = TYPES.types["builtin_interfaces/msg/Time"](seconds, nanoseconds)
+    return message("clock", "rosgraph_msgs/msg/Clock", 0.0, time)
 
 
 def at(stamp_ns, data=b""):
