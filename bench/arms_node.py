@@ -21,6 +21,7 @@ from std_msgs.msg import Float64MultiArray
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.kinds.ball import Ball
 from fvs_sim_node.camera import CAMERAS
 from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_sim_node.world import World
@@ -40,8 +41,8 @@ class Arm:
 
         self._clock = node.get_clock()
         self._joints = publisher(JointState, topics.JOINT_STATES, ros.QOS_NEWEST)
-        self._balls = publisher(PointStamped, topics.BALL_POSITION, ros.QOS_NEWEST)
-        self._targets = publisher(PointStamped, topics.TARGET_POSITION, ros.QOS_LATCHED)
+        self._balls = publisher(PointStamped, Ball.topics.tool, ros.QOS_NEWEST)
+        self._targets = publisher(PointStamped, Ball.topics.target, ros.QOS_LATCHED)
         name = f"{namespace}/{topics.COMMANDS.name}"
         node.create_subscription(
             Float64MultiArray, name, self._on_command, ros.QOS_RELIABLE, raw=True

@@ -15,7 +15,7 @@ import numpy as np
 from bench.timing import spread
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detection import detect_ball
-from fvs_detector_node.detector import Detector
+from fvs_detector_node.detector import BallDetector
 from fvs_ros.camera import CameraModel
 from fvs_ros.ros import to_image
 from fvs_ros.ros.images import from_color, from_depth
@@ -58,7 +58,7 @@ def one_image(repeats):
     depth_m = add_depth_noise(depth_m, CONFIG.intrinsics.fx, np.random.default_rng(0))
     color = to_image(0.0, "", rgb, "rgb8")
     depth = to_image(0.0, "", np.round(1e3 * depth_m).astype(np.uint16), "16UC1")
-    detector, frame = Detector(DetectorConfig()), count()
+    detector, frame = BallDetector(DetectorConfig()), count()
     camera = CameraModel(CONFIG.intrinsics)
     spent_ms = []
     for _ in range(repeats):

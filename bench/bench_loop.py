@@ -21,6 +21,7 @@ from bench.timing import spread
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.kinds.ball import Ball
 from fvs_sim_node.camera import CAMERAS
 from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_sim_node.world import World
@@ -73,8 +74,8 @@ def control_loop(folder):
 
         harness.node.create_subscription(Float64MultiArray, topics.COMMANDS.name, on_command, 1)
         joint_states = harness.publisher(JointState, topics.JOINT_STATES.name)
-        balls = harness.publisher(PointStamped, topics.BALL_POSITION.name)
-        targets = harness.publisher(PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED)
+        balls = harness.publisher(PointStamped, Ball.topics.tool.name)
+        targets = harness.publisher(PointStamped, Ball.topics.target.name, ros.QOS_LATCHED)
         statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
         joints_rad = np.array(HOME_JOINTS_RAD)
         camera, ball_position = CAMERAS["front"], World().chain.position
@@ -108,7 +109,7 @@ def start_up(folder):
     with closing(Harness(folder)) as harness:
         commands = harness.collect(Float64MultiArray, topics.COMMANDS.name)
         targets = harness.node.create_publisher(
-            PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
+            PointStamped, Ball.topics.target.name, ros.QOS_LATCHED
         )
         targets.publish(ros.to_point(1.0, CAMERA_FRAME, np.array([0.05, 0.2, 1.45])))
         begin = time.monotonic()

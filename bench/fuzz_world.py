@@ -21,6 +21,7 @@ from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.interface import POSITION
 from fvs_ros.joints import UR_JOINT_NAMES, ForeignJointsError, JointMap
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterSet
 from fvs_sim_node.robot import HOME_JOINTS_RAD
@@ -243,7 +244,7 @@ class World:
     def send_ball(self, ball_m, stamp_s, frame=CAMERA_FRAME):
         """Send a ball position, m."""
         message = ros.to_point(stamp_s, frame, ball_m)
-        value = _read(ros.from_point, message, CAMERA_FRAME, BALL)
+        value = _read(ros.from_feature, message, Ball(), CAMERA_FRAME, BALL)
         self._note(BALL, value, ros.from_stamp(message.header.stamp))
         self.node._on_feature(message)
 

@@ -33,12 +33,12 @@ PARTS = {
     "deserialize": ((fvs_ros.ros.node, "unpacked"),),
     _PUBLISH: ((Publisher, "publish"),),
     "joints by name": ((JointMap, "positions"),),
-    "prediction, drive lag": ((ServoLoop, "add_joints"), (ServoLoop, "add_feature")),
+    "prediction, drive lag": ((ServoLoop, "add_joints"), (ServoLoop, "add_image")),
     "supervision": ((ServoLoop, "tick"), (Supervisor, "tick")),
     "law": ((ServoLoop, "_propose"),),
     "command": ((CommandPublisher, "send"),),
     "status": ((FvsNode, "_publish_diagnostics"), (FvsNode, "publish_status")),
-    "learning": ((EstimationLoop, "add_joints"), (EstimationLoop, "add_feature")),
+    "learning": ((EstimationLoop, "add_joints"), (EstimationLoop, "add_image")),
     "Jacobian": ((EstimatorNode, "_publish_jacobian"),),
     _CONTROLLER: tuple(
         (ControllerNode, name)

@@ -11,7 +11,8 @@ import numpy as np
 
 from fvs_controller_node.redundancy import make_inverse
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import Feature
+from fvs_ros.kinds import Kind
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.params import Parameters
 
 
@@ -45,7 +46,7 @@ class ControlInput(NamedTuple):
     #: Joint velocities that follow a moving target, (n,): added to the law's output.
     feed_forward_rad_s: np.ndarray | None = None
     #: What is servoed.
-    feature: Feature = Feature()
+    kind: Kind = Ball()
 
 
 class ControlOutput(NamedTuple):
@@ -60,9 +61,9 @@ class ControlOutput(NamedTuple):
     exponent: np.ndarray
 
     @classmethod
-    def plain(cls, velocity_rad_s: np.ndarray, features: int) -> ControlOutput:
+    def plain(cls, velocity_rad_s: np.ndarray, size: int) -> ControlOutput:
         """Joint velocities of a law without sliding variable and exponent."""
-        return cls(velocity_rad_s, np.zeros(features), np.ones(features))
+        return cls(velocity_rad_s, np.zeros(size), np.ones(size))
 
 
 class ControlLaw(ABC):

@@ -13,9 +13,8 @@ from fvs_controller_node.ftsm import FtsmLaw
 from fvs_controller_node.minimum_time import MinimumTimeLaw
 from fvs_controller_node.proportional import MfacLaw, MpcLaw, ProportionalLaw
 from fvs_controller_node.redundancy import RedundancyConfig
-from fvs_ros import topics
-from fvs_ros.feature import Feature, ServoedConfig
 from fvs_ros.interface import CommandInterface
+from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterError, Parameters, ParameterSet, live_parameter, parameter
 
@@ -43,7 +42,7 @@ class ControllerConfig(CommandInterface):
 
 
 @dataclass(frozen=True)
-class SupervisorConfig(JointLimits, ServoedConfig):
+class SupervisorConfig(JointLimits, KindConfig):
     """Limits and thresholds of the supervisor."""
 
     #: Consecutive good messages after which an input is valid again: a single one may be left over.
@@ -117,16 +116,20 @@ class SupervisorConfig(JointLimits, ServoedConfig):
                 "workspace_min_m must be a list of numbers, each below that of workspace_max_m "
                 f"{list(high)}, got {list(low)}"
             )
-        if self.feature == topics.POSE and len(low) != 3:
-            raise ParameterError(f"workspace_min_m of a pose needs 3 numbers, got {len(low)}")
-        if self.feature == topics.POSE and len(self.joint_names) < 6:
-            raise ParameterError(f"a pose needs 6 joints or more, got {len(self.joint_names)}")
+        kind, joints = self.kind, len(self.joint_names)
+        if len(low) != kind.places:
+            raise ParameterError(
+                f"workspace_min_m of a {kind.name} needs {kind.places} numbers, got {len(low)}"
+            )
+        if joints < kind.least_joints:
+            raise ParameterError(
+                f"a {kind.name} needs {kind.least_joints} joints or more, got {joints}"
+            )
 
     @cached_property
-    def servoed(self) -> Feature:
-        """The feature; any vector is servoed like a ball."""
-        size = len(self.workspace_min_m)
-        return Feature(size) if self.feature == topics.BALL else super().servoed
+    def kind(self) -> Kind:
+        """The kind of feature."""
+        return super().kind
 
     @property
     def growth_time_s(self) -> float:
@@ -144,10 +147,10 @@ class SupervisorConfig(JointLimits, ServoedConfig):
         return self.prediction_hold * 2.0 / 3.0
 
 
-_KINDS: list[type[Parameters]] = [ControllerConfig, SupervisorConfig, RedundancyConfig]
-_KINDS += [law.Gains for law in LAWS.values()]
+_GROUPS: list[type[Parameters]] = [ControllerConfig, SupervisorConfig, RedundancyConfig]
+_GROUPS += [law.Gains for law in LAWS.values()]
 #: Every parameter of the node, once: some belong to more than one law.
-PARAMETERS = tuple({one.name: one for kind in _KINDS for one in kind.declared()}.values())
+PARAMETERS = tuple({one.name: one for group in _GROUPS for one in group.declared()}.values())
 
 
 def default_values(**overrides: Any) -> dict[str, Any]:

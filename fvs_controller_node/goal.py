@@ -42,7 +42,7 @@ class Progress:
         self.restart()
 
     def take_target(self, target_m: np.ndarray, config: SupervisorConfig) -> None:
-        """Restart if the target, m, (m,), moved more than ``growth_m`` since the last restart."""
+        """Restart if the target moved more than ``growth_m`` on its path, m, (d,), since then."""
         if self._task is None or length(target_m - self._task) > config.growth_m:
             self._task = target_m
             self.restart()
@@ -112,7 +112,7 @@ class Progress:
                 best_mm=best_mm, error_mm=error_mm, time_s=config.growth_time_s
             )
         if self._swings_m > _SWINGS_M + 2.0 * self._first_m:
-            return Reason.OSCILLATING.because(what=config.servoed.what, way_m=self._swings_m)
+            return Reason.OSCILLATING.because(what=config.kind.what, way_m=self._swings_m)
         if self._since_s >= config.stall_time_s:
             return Reason.STALLED.because(time_s=config.stall_time_s, error_mm=error_mm)
         return None
@@ -124,11 +124,14 @@ class Goal:
     def __init__(self, config: SupervisorConfig) -> None:
         self._config = config
         self.progress = Progress()  #: of the error since the start, or since another target
-        self.motion = TargetMotion()  #: of the target
+        self._motion = TargetMotion()  # of the target's path, m, (d,)
+        self._last: np.ndarray | None = None  # the target that was set last, (m,)
+        self._path_m = np.zeros(config.kind.size)  # its path up to there
+        self._now_m = self._path_m  # the path up to the target now
         self.moving = False  #: whether the target that was set last continues a motion
-        self.target_m: np.ndarray | None = None  #: where the target is now, (m,)
-        self.velocity_m_s: np.ndarray | None = None  #: the target's, (m,); None unless it moves
-        self.position_m: np.ndarray | None = None  #: where the feature is now, (m,)
+        self.target: np.ndarray | None = None  #: the target now, (m,)
+        self.velocity_m_s: np.ndarray | None = None  #: the target's, (d,); None unless it moves
+        self.z: np.ndarray | None = None  #: the feature now, (m,)
         #: Feature and target that the error was found for.
         self._error_of: tuple[np.ndarray | None, np.ndarray | None] = None, None
         self._error_m: np.ndarray | None = None
@@ -136,90 +139,92 @@ class Goal:
     def configure(self, config: SupervisorConfig) -> None:
         """Change the settings; a target that a new box leaves outside is dropped."""
         self._config = config
-        if self.target_m is not None and self._outside(self.target_m):
-            self.target_m = None
-            self.motion.restart()
+        if self.target is not None and self._outside(self.target):
+            self.target = None
+            self._motion.restart()
 
-    def _refusal(self, position_m: np.ndarray, frame: str) -> str:
-        """Why a target, (m,), m, is not accepted in this frame; empty if it is."""
-        expected, features = self._config.feature_frame, self._config.servoed.size
+    def _refusal(self, target: np.ndarray, frame: str) -> str:
+        """Why a target, (m,), is not accepted in this frame; empty if it is."""
+        expected, numbers = self._config.feature_frame, self._config.kind.numbers
         if not frame:
             return f"it names no frame; set header.frame_id to {expected}"
         if frame != expected:
             return f"it is in frame {frame}, expected {expected} (feature_frame)"
-        if np.shape(position_m) != (features,) or not np.isfinite(position_m).all():
-            return f"expected {features} finite numbers, got {position_m}"
-        if not self._config.servoed.is_one(np.asarray(position_m, dtype=float)):
-            return f"it is no {self._config.feature}: {np.round(position_m, 3).tolist()}"
-        outside = self._outside(np.asarray(position_m, dtype=float))
+        if np.shape(target) != (numbers,) or not np.isfinite(target).all():
+            return f"expected {numbers} finite numbers, got {target}"
+        outside = self._outside(np.asarray(target, dtype=float))
         if outside:
             return f"{', '.join(outside)} (workspace_min_m and workspace_max_m, in {frame})"
         return ""
 
     def set(
-        self, position_m: np.ndarray, frame: str, there_s: float = -inf, age_s: float = 0.0
+        self, target: np.ndarray, frame: str, there_s: float = -inf, age_s: float = 0.0
     ) -> tuple[bool, str]:
-        """Set the target, (m,), m; a refused one leaves the old in place.
+        """Set the target, (m,); a refused one leaves the old in place.
 
         ``there_s`` is its time on the joint states' clock, s; a target soon after the last one is
         a moving one. Without a time it is fixed. ``age_s`` is the age of its message. Returns
         whether it was accepted, and a text with the result or the reason for the refusal.
         """
-        refusal = self._refusal(position_m, frame)
+        refusal = self._refusal(target, frame)
         if refusal:
             return False, f"target refused: {refusal}"
-        target = np.array(position_m, dtype=float)
-        update = self.motion.update(target, there_s, age_s)
+        kind, target = self._config.kind, np.array(target, dtype=float)
+        path_m = self._path_m
+        if self._last is not None:
+            path_m = path_m + kind.minus(target, self._last)
+        update = self._motion.update(path_m, there_s, age_s)
         if update is Update.OVERTAKEN:
             return True, "target ignored: a newer one has arrived"
+        self._last, self._path_m = target, path_m
         self.moving = update is Update.CONTINUED
         if not self.moving:  # a moving one is no new task
-            self.progress.take_target(target, self._config)
-        self.target_m = target
-        return True, f"target set to {self._config.servoed.place(target)}"
+            self.progress.take_target(path_m, self._config)
+        self.target, self._now_m = target, path_m
+        return True, f"target set to {kind.text(target)}"
 
-    def was_set(self, position_m: np.ndarray) -> bool:
-        """Whether a place, m, (m,), is the target that was set last."""
-        last_m = self.motion.last_m
-        return last_m is not None and np.array_equal(position_m, last_m)
+    def was_set(self, target: np.ndarray) -> bool:
+        """Whether this, (m,), is the target that was set last."""
+        return self._last is not None and np.array_equal(target, self._last)
 
     def track(self, now_s: float) -> None:
         """Update a moving target to now, s; outside the workspace it stays at its last position."""
-        now = self.motion.at(now_s)
-        if now is None or self._outside(now.position_m):
-            self.velocity_m_s = None
-        else:
-            self.target_m, self.velocity_m_s = now
-            if self.target_m is not self.motion.last_m:
-                self.target_m = self._config.servoed.nearest(self.target_m)
+        now, self.velocity_m_s = self._motion.at(now_s), None
+        if now is None or self._last is None:
+            return
+        target, gone_m = self._last, now.position_m - self._path_m
+        if gone_m.any():
+            target = self._config.kind.retract(target, gone_m)
+        if not self._outside(target):
+            self.target, self.velocity_m_s, self._now_m = target, now.velocity_m_s, now.position_m
 
-    def see(self, position_m: np.ndarray | None, dt_s: float, servoing: bool) -> None:
-        """Take the feature after a tick, m, (m,); None if it is unknown."""
-        self.position_m = position_m
+    def see(self, z: np.ndarray | None, dt_s: float, servoing: bool) -> None:
+        """Take the feature after a tick, (m,); None if it is unknown."""
+        self.z = z
         error = self.error_m
         if error is not None:
-            self.progress.add(error, dt_s, servoing, self._config, self.target_m)
+            self.progress.add(error, dt_s, servoing, self._config, self._now_m)
 
     @property
     def error_m(self) -> np.ndarray | None:
         """Feature from target, m, shape (d,), or None where one of them is unknown."""
-        at, target = self.position_m, self.target_m
-        if at is None or target is None:
+        z, target = self.z, self.target
+        if z is None or target is None:
             return None
-        if self._error_of[0] is not at or self._error_of[1] is not target:
-            self._error_of = at, target
-            self._error_m = self._config.servoed.error(at, target, self._error_m)
+        if self._error_of[0] is not z or self._error_of[1] is not target:
+            self._error_of = z, target
+            self._error_m = self._config.kind.minus(z, target, self._error_m)
         return self._error_m
 
     @property
     def settled(self) -> bool:
-        """Whether the ball has been on target for a while."""
+        """Whether the feature has been on target for a while."""
         return self.error_m is not None and self.progress.settled
 
     def _outside(self, target: np.ndarray) -> list[str]:
         """Say which coordinates of a target are outside the workspace box."""
         low, high = self._config.workspace_min_m, self._config.workspace_max_m
-        axes = self._config.servoed.axes
+        axes = self._config.kind.axes
         return [
             f"{axis} = {value:.3f} m is not in [{lo:g}, {hi:g}]"
             for axis, value, lo, hi in zip(axes, target.tolist(), low, high, strict=False)

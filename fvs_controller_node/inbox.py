@@ -14,8 +14,8 @@ from fvs_controller_node.reasons import Finding, Reason
 from fvs_ros.timeline import MAX_LATENCY_S
 from fvs_ros.vectors import LARGEST, plausible
 
-#: Inputs by topic name.
-JOINT_STATES, BALL, JACOBIAN = "joint_states", "ball_position", "jacobian"
+#: Inputs, by the names of their topics but for the feature.
+JOINT_STATES, FEATURE, JACOBIAN = "joint_states", "feature", "jacobian"
 KINEMATIC_CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
 ROBOT_DESCRIPTION = "robot_description"
 
@@ -120,25 +120,25 @@ class Inbox:
 
     def __init__(self, config: SupervisorConfig, end_session: Callable[[Finding], None]) -> None:
         self._config, self._end_session = config, end_session
-        feature = config.servoed
+        kind = config.kind
         hints = {
             JOINT_STATES: ("is the robot driver (or simulator) running?", "joint_states_max_age_s"),
-            BALL: (f"is the {feature.what} in view, and the detector running?", "ball_max_age_s"),
+            FEATURE: (f"is the {kind.what} in view, and the detector running?", "ball_max_age_s"),
             JACOBIAN: ("is the estimator running?", "jacobian_max_age_s"),
             **dict.fromkeys((KINEMATIC_CHAIN, SPEED_SCALING, ROBOT_DESCRIPTION), ()),
         }
+        names = {FEATURE: kind.topics.tool.name}
         self._monitors = {
-            key: InputMonitor(config, feature.seen.name if key == BALL else key, *words)
-            for key, words in hints.items()
+            key: InputMonitor(config, names.get(key, key), *words) for key, words in hints.items()
         }
-        self[BALL].slow_s = MAX_LATENCY_S  # longer, none is predicted
+        self[FEATURE].slow_s = MAX_LATENCY_S  # longer, none is predicted
         self._conflict: Finding | None = None  # with another node, and when it commanded last
         self._conflict_s = -inf
         self._program_running: bool | None = None  # never reported
         self._speed_scaling = 100.0
 
     def __getitem__(self, topic: str) -> InputMonitor:
-        """The monitor of an input; of a pose, too, under the name of the ball's topic."""
+        """The monitor of an input."""
         return self._monitors[topic]
 
     def configure(self, config: SupervisorConfig) -> None:
@@ -150,10 +150,10 @@ class Inbox:
     # ---- messages ---------------------------------------------------------------------------
 
     def add(self, name: str, now_s: float, values: np.ndarray) -> bool:
-        """Take joints, (n,), rad, feature, (m,), m, or Jacobian, (d, n); False if unusable."""
+        """Take joints, (n,), rad, feature, (m,), or Jacobian, (d, n); False if unusable."""
         values = np.asarray(values, dtype=float)
-        feature, n = self._config.servoed, len(self._config.joint_names)
-        shape = {JOINT_STATES: (n,), BALL: (feature.size,), JACOBIAN: (len(feature.axes), n)}[name]
+        kind, n = self._config.kind, len(self._config.joint_names)
+        shape = {JOINT_STATES: (n,), FEATURE: (kind.numbers,), JACOBIAN: (kind.size, n)}[name]
         wanted = " x ".join(str(length) for length in shape)
         if values.shape != shape:
             self[name].bad(f"expected {wanted} numbers, got shape {values.shape}")
@@ -229,7 +229,7 @@ class Inbox:
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Ages and the robot's reports, always the same keys in the same order."""
-        watched = [self[one] for one in (JOINT_STATES, BALL, JACOBIAN)]
+        watched = [self[one] for one in (JOINT_STATES, FEATURE, JACOBIAN)]
         ages = {f"{one.name}_age_s": one.age_s(now_s) for one in watched}
         running = {None: "unknown", False: "false", True: "true"}[self._program_running]
         return {

@@ -1,4 +1,4 @@
-"""The whole controller without ROS: tracker, law and supervisor in one object.
+"""The whole controller without ROS: track, target, law and supervisor in one object.
 
 The node passes messages in and sends the result of ``tick``; the laboratory uses the same object.
 """
@@ -11,19 +11,22 @@ from typing import Any
 
 import numpy as np
 
+from fvs_controller_node.agreement import Agreement
 from fvs_controller_node.base import Change, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.config import ControllerConfig, SupervisorConfig, default_values, make_law
 from fvs_controller_node.drive_lag import DriveLag, brake
-from fvs_controller_node.inbox import BALL, JACOBIAN, JOINT_STATES, KINEMATIC_CHAIN
-from fvs_controller_node.prediction import FeaturePredictor
-from fvs_controller_node.reasons import State
+from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES, KINEMATIC_CHAIN
+from fvs_controller_node.reasons import Finding, State
 from fvs_controller_node.redundancy import make_inverse
-from fvs_controller_node.supervisor import Command, Present, Supervisor
+from fvs_controller_node.supervisor import Command, Present, Supervisor, answer
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
+from fvs_ros.filter import Image
 from fvs_ros.following import LONGEST_LAG_S, Following
 from fvs_ros.interface import POSITION
+from fvs_ros.limits import tick_s
 from fvs_ros.timeline import repeats
+from fvs_ros.track import Track
 
 #: The estimator publishes the chain more often than this; an older one is not used, and a bad one
 #: holds the arm for as long, s.
@@ -31,7 +34,7 @@ _CHAIN_MAX_AGE_S = 1.5
 
 
 class ServoLoop:
-    """One pass per tick: joints, ball and Jacobian in; one command out.
+    """One pass per tick: joints, feature and Jacobian in; one command out.
 
     Parameters
     ----------
@@ -47,10 +50,12 @@ class ServoLoop:
     ----------
     law : ControlLaw
         The control law.
-    predictor : FeaturePredictor
-        Predicts the ball to now.
+    track : ~fvs_ros.track.Track
+        Follows the feature, and predicts it to now.
     supervisor : Supervisor
         The one exit.
+    sliding_variable : ndarray, shape (d,), or None
+        That of the law, m, at the first tick after an image; else None.
     """
 
     law: ControlLaw
@@ -58,20 +63,18 @@ class ServoLoop:
     def __init__(self, values: Mapping[str, Any] | None = None) -> None:
         values = default_values() if values is None else values
         self.supervisor = Supervisor(SupervisorConfig.from_values(values))
-        self._feature = self.supervisor.config.servoed
-        self.predictor = FeaturePredictor(self._feature)
+        self.kind = self.supervisor.config.kind
+        self.track, self._agreement = Track(self.kind), Agreement()
         self._drive_lag, self._following = DriveLag(), Following()
         self.configure(values)
-        self._pending_rad = self._drive_lag.pending_rad()
         self._chain: SerialChain | None = None
         self._chain_s = -inf
-        self._stamp_s = 0.0
+        self._stamp_s = 0.0  # of the newest joint state
+        self._image_s: float | None = None  # stamp of the newest image
+        self._unjudged: list[Image] = []
         self._change = Change.TARGET  # since the last call of the law
-        self._images = 0  # number of images at that call
-        #: The law's sliding variable, (d,), at the first tick after an image; else None.
+        self._new_image = False  # likewise
         self.sliding_variable: np.ndarray | None = None
-        self._ball_stamp_s: float | None = None
-        self._seen = np.zeros(self._feature.size)  # in the newest image
         self._joints: np.ndarray | None = None
         self._jacobian: np.ndarray | None = None
         self._home: np.ndarray | None = None  # joints at the last start
@@ -95,51 +98,51 @@ class ServoLoop:
         if self._joints is not None and repeats(stamp_s, self._stamp_s):
             inputs[JOINT_STATES].stuck(now_s)
             return
-        if inputs.add(JOINT_STATES, now_s, joints_rad):
-            velocity, joints = self.supervisor.velocity_rad_s, np.array(joints_rad, dtype=float)
-            servoing = self.supervisor.last.state is State.SERVOING
-            if servoing:
-                unit = self.supervisor.config.unit
-                most_s = max(self._drive_lag.most_s, self._least_lag_s)
-                scaled = inputs.speed_scaling * velocity / unit
-                self._following.add(now_s, stamp_s, scaled, joints / unit, most_s)
-            else:
-                self._following.restart()
-            self._stamp_s = stamp_s
-            compare = servoing and inputs.full_speed
-            self._joints = self._drive_lag.add(stamp_s, velocity, joints, compare)
-            self._predict(stamp_s, self._joints)
-
-    def _predict(self, stamp_s: float, joints: np.ndarray) -> None:
-        """Move the predicted feature along to a joint state, s and rad, (n,)."""
-        feature = self._feature
-        if self._chain is not None:
-            at, motion = self._chain.position_and_jacobian(joints)
-            self._jacobian = feature.to_task(at, motion)
-        elif self._jacobian is not None:
-            now = self.position_m if feature.curved else None
-            motion = feature.from_task(self._seen if now is None else now, self._jacobian)
-        else:
+        if not inputs.add(JOINT_STATES, now_s, joints_rad):
             return
-        self.predictor.add_joints(stamp_s, joints, motion)
+        velocity, joints = self.supervisor.velocity_rad_s, np.array(joints_rad, dtype=float)
+        servoing = self.supervisor.last.state is State.SERVOING
+        if servoing:
+            unit = self.supervisor.config.unit
+            most_s = max(self._drive_lag.most_s, self._least_lag_s)
+            scaled = inputs.speed_scaling * velocity / unit
+            self._following.add(now_s, stamp_s, scaled, joints / unit, most_s)
+        else:
+            self._following.restart()
+        self._stamp_s = stamp_s
+        compare = servoing and inputs.full_speed
+        self._joints = self._drive_lag.add(stamp_s, velocity, joints, compare)
+        if self._chain is not None:
+            self._jacobian = self.kind.moved_by(*self._chain.motion(self._joints))
+        # Images are judged one joint state later: no tick has all of an image's work.
+        for image in self._unjudged:
+            self._agreement.add(image, self.track.filter.noise_m)
+        self._unjudged.clear()
+        self._accept(self.track.add_joints(stamp_s, self._joints, self._jacobian))
 
     def bad_joints(self, why: str) -> None:
         """Take a joint state that cannot be used, and why."""
-        self.predictor.reset()  # after a jump: the ball did not move with it
+        self.track.reset()  # after a jump: the feature did not move with it
+        self._agreement.restart()
         self.supervisor.inputs[JOINT_STATES].bad(why)
 
-    def add_feature(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
-        """Take a ball position in the feature's frame: arrival and exposure, s; (m,), m."""
-        if repeats(stamp_s, self._ball_stamp_s):
-            self.supervisor.inputs[BALL].stuck(now_s)
+    def add_image(self, now_s: float, stamp_s: float, z: np.ndarray) -> None:
+        """Take a measurement in the camera's frame, (m,): its arrival and exposure, s."""
+        if repeats(stamp_s, self._image_s):
+            self.supervisor.inputs[FEATURE].stuck(now_s)
             return
-        self._ball_stamp_s = stamp_s
-        if self.supervisor.inputs.add(BALL, now_s, position_m):
-            self._seen = position_m
-            self.predictor.add_feature(stamp_s, position_m)
+        self._image_s = stamp_s
+        if self.supervisor.inputs.add(FEATURE, now_s, z):
+            self._accept(self.track.add_image(stamp_s, z))
+
+    def _accept(self, images: list[Image]) -> None:
+        if images:
+            self._unjudged += images
+            self._new_image = True
+            self._note(Change.MEASUREMENT)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
-        """Take the task's Jacobian, (d, n), m/rad, and its arrival; a chain's takes priority."""
+        """Take the Jacobian, (d, n), m/rad, and its arrival; a chain's takes priority."""
         if self.supervisor.inputs.add(JACOBIAN, now_s, jacobian) and self._chain is None:
             self._jacobian = np.array(jacobian, dtype=float)
 
@@ -155,26 +158,24 @@ class ServoLoop:
 
     # ---- the target ---------------------------------------------------------------------------
 
-    def add_target(
-        self, position_m: np.ndarray, frame: str, stamp_s: float = 0.0
-    ) -> tuple[bool, str]:
-        """Take a target, (m,), m; one that is updated often moves.
+    def add_target(self, z: np.ndarray, frame: str, stamp_s: float = 0.0) -> tuple[bool, str]:
+        """Take a target, (m,); one that is updated often moves.
 
         A stamp (s; 0 for now) says when it was there, on the clock of the joint states. The answer
         is the supervisor's: see :meth:`~fvs_controller_node.goal.Goal.set`.
         """
         there_s = on_own_clock(stamp_s, self._stamp_s)
-        return self._set_target(position_m, frame, there_s, self._stamp_s - there_s)
+        return self._set_target(z, frame, there_s, self._stamp_s - there_s)
 
     def set_current_as_target(self, now_s: float) -> tuple[bool, str]:
-        """Make the ball's present position the target, if it is known now."""
+        """Make the feature's present value the target, if it is known now."""
         late = self.supervisor.inputs.late(now_s)
         if late:
             return False, f"target refused: {late}"
-        position = self.position_m
-        if position is None:
-            return False, f"target refused: the {self._feature.what}'s position is not known yet"
-        return self._set_target(position, self.supervisor.config.feature_frame)
+        z = self.track.now()
+        if z is None:
+            return False, f"target refused: the {self.kind.what}'s position is not known yet"
+        return self._set_target(z, self.supervisor.config.feature_frame)
 
     def _set_target(self, *target: Any) -> tuple[bool, str]:
         goal = self.supervisor.goal
@@ -191,13 +192,8 @@ class ServoLoop:
 
     @property
     def jacobian(self) -> np.ndarray | None:
-        """The task's Jacobian in use, m/rad, shape (d, n), or None; a copy."""
+        """The Jacobian in use, m/rad, shape (d, n), or None; a copy."""
         return None if self._jacobian is None else self._jacobian.copy()
-
-    @property
-    def position_m(self) -> np.ndarray | None:
-        """The ball's position, predicted to the newest joint state, m, or None."""
-        return self.predictor.predict()
 
     def tick(self, now_s: float, dt_s: float) -> Command:
         """Decide on the command for this tick.
@@ -209,83 +205,93 @@ class ServoLoop:
         dt_s : float
             What the tick counts for, s: the time until the next one.
         """
-        supervisor = self.supervisor
-        if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
-            self._chain = None  # its publisher is gone, or has another method now
-            supervisor.inputs[KINEMATIC_CHAIN].forget()
-        if self._follows:
-            supervisor.goal.track(self._stamp_s)
-        self._pending_rad = self._drive_lag.pending_rad()
-        if self._home is None:  # motion before this start must not count
-            self.predictor.agreement.restart()
-        present = Present(
-            self._joints,
-            self.position_m,
-            self._jacobian,
-            self._pending_rad,
-            self.predictor.problem,
-            self.predictor.agreement.verdict,
-            self._following.fault,
-        )
-        images = self._images
-        command = supervisor.tick(now_s, dt_s, present, self._propose)
-        output = command.output if self._images != images else None
-        self.sliding_variable = output.sliding_variable if output is not None else None
+        dt_s, self.sliding_variable = tick_s(dt_s), None
+        present = self._present(now_s)
+        finding, output = self.supervisor.permit(now_s, dt_s, present), None
+        if finding is None:
+            finding, output = self._ask(present, dt_s)
+        command = self.supervisor.release(now_s, dt_s, finding, output)
         if command.state is not State.SERVOING:
             self.law.reset()
-        if not supervisor.started:
+        if not self.supervisor.started:
             self._home = None
         return command
 
-    def _propose(self, error_m: np.ndarray, applied: np.ndarray, dt_s: float) -> ControlOutput:
+    def _present(self, now_s: float) -> Present:
+        """What is known at this tick."""
+        if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
+            self._chain = None  # its publisher is gone, or has another method now
+            self.supervisor.inputs[KINEMATIC_CHAIN].forget()
+        if self._follows:
+            self.supervisor.goal.track(self._stamp_s)
+        if self._home is None:  # motion before this start must not count
+            self._agreement.restart()
+        return Present(
+            joints_rad=self._joints,
+            z=self.track.now(),
+            jacobian=self._jacobian,
+            pending_rad=self._drive_lag.pending_rad(),
+            problem=self.track.problem,
+            verdict=self._agreement.verdict,
+            not_following=self._following.fault,
+        )
+
+    def _ask(self, present: Present, dt_s: float) -> tuple[Finding | None, ControlOutput | None]:
+        """The law's output, or what is wrong with it."""
+        last = self.supervisor.velocity_rad_s
+        if dt_s <= 0.0:  # it repeats the last command
+            return None, ControlOutput.plain(last, self.kind.size)
+        finding, output = answer(lambda: self._propose(present, last, dt_s), last, self.kind.size)
+        if output is not None and self._new_image:
+            self.sliding_variable = output.sliding_variable
+        self._change, self._new_image = Change.NOTHING, False
+        return finding, output
+
+    def _propose(self, present: Present, applied: np.ndarray, dt_s: float) -> ControlOutput:
         """Ask the law, with arm and target predicted to when its command takes effect."""
-        jacobian, joints = self._jacobian, self._joints
-        goal = self.supervisor.goal
-        velocity_m_s = goal.velocity_m_s if self._follows else None
+        jacobian, joints, goal = present.jacobian, present.joints_rad, self.supervisor.goal
+        error_m = goal.error_m
         assert jacobian is not None
         assert joints is not None
+        assert error_m is not None
         if self._home is None:
             self._home = joints
-        error_m = error_m + jacobian @ self._pending_rad
+        error_m = error_m + jacobian @ present.pending_rad
         feed_forward = None
-        if velocity_m_s is not None and velocity_m_s.any():
-            assert goal.target_m is not None
-            velocity_m_s = self._feature.to_task(goal.target_m, velocity_m_s)
+        if self._follows and goal.velocity_m_s is not None and goal.velocity_m_s.any():
+            velocity_m_s = goal.velocity_m_s
             error_m = error_m - self._drive_lag.lag_s * velocity_m_s
             feed_forward = self._follower.joint_velocity(jacobian, velocity_m_s, joints, self._home)
             applied = applied - feed_forward
-        if self.predictor.images != self._images:
-            self._note(Change.MEASUREMENT)
-        one = ControlInput(
-            error_m,
-            jacobian,
-            applied,
-            joints + self._pending_rad,
-            dt_s,
-            self._home,
-            self._chain,
-            self._change,
-            feed_forward,
-            self._feature,
+        control_input = ControlInput(
+            error_m=error_m,
+            jacobian=jacobian,
+            applied_rad_s=applied,
+            joints_rad=joints + present.pending_rad,
+            dt_s=dt_s,
+            home_rad=self._home,
+            chain=self._chain,
+            change=self._change,
+            feed_forward_rad_s=feed_forward,
+            kind=self.kind,
         )
-        self._change, self._images = Change.NOTHING, self.predictor.images
-        output = self.law.command(one)
+        output = self.law.command(control_input)
         if not self.law.plans:
-            output = brake(output, one, self.supervisor.config)
+            output = brake(output, control_input, self.supervisor.config)
         if feed_forward is not None:
             output = output._replace(velocity_rad_s=output.velocity_rad_s + feed_forward)
         return output
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Return the supervisor's key numbers, the images' latency, the law's settling bound."""
-        latency_s = self.predictor.latency_s
+        latency_s = self.track.latency_s
         error_m = self.supervisor.goal.error_m
         bound_s = None if error_m is None else self.law.settling_bound_s(error_m)
         return {
             **self.supervisor.status_values(now_s),
             "image_latency_s": float("nan") if latency_s is None else latency_s,
-            "position_noise_m": self.predictor.tracker.noise_m,
-            "position_deviation_m": self.predictor.tracker.deviation_m,
+            "position_noise_m": self.track.filter.noise_m,
+            "position_deviation_m": self.track.filter.deviation_m,
             "drive_lag_s": self._drive_lag.lag_s,
             "kinematic_chain_age_s": inf if self._chain is None else now_s - self._chain_s,
             "settling_bound_without_limits_s": float("nan") if bound_s is None else bound_s,

@@ -87,7 +87,7 @@ class MinimumTimeLaw(ControlLaw):
             return joints + self.inverse.joint_velocity(
                 one.jacobian, -one.error_m, joints, one.home_rad
             )
-        wanted = one.feature.displaced(chain.position(joints), -one.error_m)
+        wanted = one.kind.retract(chain.position(joints), -one.error_m)
         new = self._goal is None or one.change is Change.TARGET
         goal = joints if self._goal is None else self._goal
         way, jacobian = _way(one, goal, wanted)
@@ -109,10 +109,9 @@ class MinimumTimeLaw(ControlLaw):
 
 
 def _way(
-    one: ControlInput, goal_rad: np.ndarray, wanted_m: np.ndarray
+    one: ControlInput, goal_rad: np.ndarray, wanted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a goal misses of the wanted feature, m, (d,), and the task's Jacobian there, (d, n)."""
+    """What a goal misses of the wanted feature, m, (d,), and the Jacobian there, (d, n)."""
     assert one.chain is not None
-    feature_m, jacobian = one.chain.position_and_jacobian(goal_rad)
-    way = -one.feature.error(feature_m, wanted_m)
-    return way, one.feature.to_task(feature_m, jacobian)
+    z, turns, shifts_m = one.chain.motion(goal_rad)
+    return -one.kind.minus(z, wanted), one.kind.moved_by(z, turns, shifts_m)

@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
+from fvs_controller_node.agreement import Verdict
 from fvs_controller_node.config import SupervisorConfig
-from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason
 
 #: Least measured share of the predicted motion of an image that follows the arm. A turned camera

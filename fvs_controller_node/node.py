@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped, PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from fvs_controller_node.config import PARAMETERS
-from fvs_controller_node.inbox import BALL, JACOBIAN, JOINT_STATES, ROBOT_DESCRIPTION
+from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES, ROBOT_DESCRIPTION
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command
@@ -56,7 +55,7 @@ class ControllerNode(ros.FvsNode):
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._loop = ServoLoop(v)
-        self._feature = self._loop.supervisor.config.servoed
+        self._kind = self._loop.kind
         self._stamp_s: float | None = None
         self._heard_target: tuple | None = None
         self._heard_target_s = -np.inf
@@ -71,14 +70,14 @@ class ControllerNode(ros.FvsNode):
 
         self._commands = ros.CommandPublisher(self)
         self._joints: np.ndarray | None = None
-        self._sliding = self.publisher(self._feature.sliding)
+        self._sliding = self.publisher(self._kind.topics.sliding)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self.subscribe(self._feature.seen, self._on_feature)
+        self.subscribe(self._kind.topics.tool, self._on_feature)
         self.subscribe(topics.JACOBIAN, self._on_jacobian)
         self.subscribe(topics.KINEMATIC_CHAIN, self._on_chain)
         self.subscribe(topics.ESTIMATOR_STATUS, self._on_estimator_status)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
-        self.subscribe(self._feature.target, self._on_target)  # a latched one is heard twice
+        self.subscribe(self._kind.topics.target, self._on_target)  # a latched one is heard twice
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         description = self._loop.supervisor.inputs[ROBOT_DESCRIPTION]
         self._limits = ros.LimitsReader(self, self._take_limits, description.bad)
@@ -113,26 +112,26 @@ class ControllerNode(ros.FvsNode):
                 self._joints = joints
         self._ticker.on_joint_state(now_s, stamp_s)
 
-    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
-        now_s, feature = self.now_s(), self._feature
+    def _on_feature(self, message: Any) -> None:
+        now_s, kind = self.now_s(), self._kind
         try:
-            position_m = ros.from_feature(message, feature, self._frame, feature.seen.name)
+            z = ros.from_feature(message, kind, self._frame, kind.topics.tool.name)
         except ros.MessageError as error:
-            self._loop.supervisor.inputs[BALL].bad(str(error))
+            self._loop.supervisor.inputs[FEATURE].bad(str(error))
             return
-        self._loop.add_feature(now_s, ros.from_stamp(message.header.stamp), position_m)
+        self._loop.add_image(now_s, ros.from_stamp(message.header.stamp), z)
 
     def _on_jacobian(self, message: Float64MultiArray) -> None:
         now_s, joints = self.now_s(), len(self._joint_map.names)
         try:
-            self._loop.add_jacobian(now_s, ros.from_jacobian(message, joints, self._feature))
+            self._loop.add_jacobian(now_s, ros.from_jacobian(message, joints, self._kind))
         except ros.MessageError as error:
             self._loop.supervisor.inputs[JACOBIAN].bad(str(error))
 
     def _on_chain(self, message: Float64MultiArray) -> None:
         now_s, joints = self.now_s(), len(self._joint_map.names)
         try:
-            self._loop.add_chain(now_s, ros.from_chain(message, joints, self._feature))
+            self._loop.add_chain(now_s, ros.from_chain(message, joints, self._kind))
         except ros.MessageError as error:
             self._loop.bad_chain(now_s, str(error))
 
@@ -142,24 +141,24 @@ class ControllerNode(ros.FvsNode):
         idle = values.get("state") in (ESTIMATOR_WAITING, ESTIMATOR_FAULT)
         supervisor.inputs[JACOBIAN].set_source_status(now_s, message.message if idle else "")
 
-    def _on_target(self, message: PointStamped | PoseStamped) -> None:
-        feature, now_s, frame = self._feature, self.now_s(), message.header.frame_id
+    def _on_target(self, message: Any) -> None:
+        kind, now_s, frame = self._kind, self.now_s(), message.header.frame_id
         try:  # in its own frame: the goal refuses another one
-            target_m = ros.from_feature(message, feature, frame, feature.target.name)
+            target = ros.from_feature(message, kind, frame, kind.topics.target.name)
         except ros.MessageError as error:
             self._refusal = f"target refused: {error}"
             self.tell(ros.WARN, self._refusal)
             return
         stamp_s = ros.from_stamp(message.header.stamp)
-        heard = (*target_m.tolist(), stamp_s, frame)
+        heard = (*target.tolist(), stamp_s, frame)
         # Latched samples arrive twice, and again whenever the publisher is rediscovered. Without a
         # stamp (`ros2 topic pub`) only an immediate echo counts as a repetition.
         soon = now_s - self._heard_target_s < _TARGET_ECHO_S
         again = heard == self._heard_target and (stamp_s != 0.0 or soon)
         self._heard_target, self._heard_target_s = heard, now_s
-        if again and not self._loop.supervisor.goal.was_set(target_m):
+        if again and not self._loop.supervisor.goal.was_set(target):
             return  # a newer target is in force: a repetition must not undo it
-        accepted, text = self._loop.add_target(target_m, frame, stamp_s)
+        accepted, text = self._loop.add_target(target, frame, stamp_s)
         if again:  # a repetition only means that a moving target has stopped
             return
         self._refusal = "" if accepted else text
@@ -209,11 +208,8 @@ class ControllerNode(ros.FvsNode):
         if sent:
             self._sent.append(sent)
         if self._loop.sliding_variable is not None and self._stamp_s is not None:
-            self._sliding.publish(
-                ros.to_sliding(
-                    self._stamp_s, self._frame, self._feature, self._loop.sliding_variable
-                )
-            )
+            sliding_m = self._loop.sliding_variable
+            self._sliding.publish(ros.to_sliding(self._stamp_s, self._frame, self._kind, sliding_m))
         previous, self._command = self._command, command
         if previous is None or previous.reason is not command.reason:
             self._publish_status()

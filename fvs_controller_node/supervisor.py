@@ -1,8 +1,8 @@
 """The only exit for commands: decides at every tick whether the arm may move, and how fast.
 
-It is pure and deterministic: the caller passes a steady clock. Inputs arrive as events. ``tick``
-runs the monitors in order, calls the law only if none objects, limits its output, and always
-returns n finite numbers.
+It is pure and deterministic: the caller passes a steady clock. Inputs arrive as events. At every
+tick, ``permit`` runs the monitors in order and says what objects to motion, and ``release`` limits
+the law's output, or brings the arm to rest. It always returns n finite numbers.
 """
 
 from __future__ import annotations
@@ -13,18 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fvs_controller_node.agreement import Verdict
 from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.goal import Goal
 from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.monitors import PredictionMonitor, SingularityMonitor
-from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
 from fvs_controller_node.redundancy import singular_values
-from fvs_ros.feature import Distance
 from fvs_ros.following import TrackingFault
-from fvs_ros.limits import limit_speed, tick_s
-from fvs_ros.params import ParameterError
+from fvs_ros.kinds import ErrorText
+from fvs_ros.limits import limit_speed
 from fvs_ros.vectors import all_finite, largest, length
 
 #: Speed at which the arm may leave a singular pose, rad/s.
@@ -33,18 +32,15 @@ _LEAVING_RAD_S = 0.1
 #: Share of the speed limit that is left just before the arm is held.
 _LEAST_SHARE = 0.25
 
-#: Asks the law: (error (d,) m, last command (n,) rad/s, dt s) -> its output.
-Propose = Callable[[np.ndarray, np.ndarray, float], ControlOutput]
-
 
 class Present(NamedTuple):
-    """The controller's data at a tick, for a feature of m numbers, d free ones, and n joints."""
+    """The controller's data at a tick, for a feature of m numbers, d motions, and n joints."""
 
     joints_rad: np.ndarray | None  #: newest positions, (n,)
-    position_m: np.ndarray | None  #: of the feature, predicted to now, (m,)
-    jacobian: np.ndarray | None  #: that of the law, m/rad, (d, n)
+    z: np.ndarray | None  #: the feature, predicted to now, (m,)
+    jacobian: np.ndarray | None  #: m/rad, (d, n)
     pending_rad: np.ndarray  #: motion that was commanded and is still to come, (n,)
-    problem: str = ""  #: why there is no position
+    problem: str = ""  #: why there is no feature
     verdict: Verdict | None = None  #: on seen and predicted motion; None while too little moved
     not_following: TrackingFault | None = None  #: the joint that does not follow its command
 
@@ -97,18 +93,7 @@ class Supervisor:
         self.last = Command(self._velocity, State.WAITING, missing, "", None)
 
     def configure(self, config: SupervisorConfig) -> None:
-        """Change limits and thresholds while running; ``autostart`` counts at creation only.
-
-        Raises
-        ------
-        ParameterError
-            If the workspace has another dimension than before.
-        """
-        before, now = len(self.config.workspace_min_m), len(config.workspace_min_m)
-        if now != before:
-            raise ParameterError(
-                f"workspace_min_m and workspace_max_m need {before} numbers each, got {now}"
-            )
+        """Change limits and thresholds while running; ``autostart`` counts at creation only."""
         self.config = config
         self.goal.configure(config)
         self.inputs.configure(config)
@@ -179,32 +164,34 @@ class Supervisor:
 
     # ---- the tick -------------------------------------------------------------------------
 
-    def tick(self, now_s: float, dt_s: float, present: Present, propose: Propose) -> Command:
-        """Decide on the command: steady clock, and what the tick counts for, s.
+    def permit(self, now_s: float, dt_s: float, present: Present) -> Finding | None:
+        """Find what forbids motion in this tick: steady clock, what it counts for, s; data.
 
-        The law is asked only if the arm may move.
+        None if the law is to move the arm.
         """
-        dt_s = tick_s(dt_s)
         before, self._present = self._present, present
-        joints_rad, jacobian = present.joints_rad, present.jacobian
-        self.goal.see(present.position_m, dt_s, self.last.state is State.SERVOING)
+        jacobian = present.jacobian
+        self.goal.see(present.z, dt_s, self.last.state is State.SERVOING)
         if jacobian is not None and jacobian is not before.jacobian:
             self._smallest_m_rad = float(singular_values(jacobian)[-1])
         finding = self._objection(now_s)
-        if finding is None and self._starts_itself:
+        if finding is not None:
+            return finding
+        if self._starts_itself:
             self._begin()
-        output: ControlOutput | None = None
-        if finding is None and self.started and joints_rad is not None:
-            finding = self._trouble_in_motion(dt_s)
-            if finding is None:
-                error_m = self.goal.error_m
-                assert error_m is not None
-                finding, output = _ask(propose, error_m, self.velocity_rad_s, dt_s)
-        finding = self._held(finding, now_s)
+        return self._trouble_in_motion(dt_s) if self.started else Reason.READY.because()
+
+    def release(
+        self, now_s: float, dt_s: float, finding: Finding | None, output: ControlOutput | None
+    ) -> Command:
+        """The command of this tick: the law's output within all limits, or one step to rest.
+
+        Without an output, ``finding`` says why there is none.
+        """
+        finding, joints_rad = self._held(finding, now_s), self._present.joints_rad
         if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
-        if finding is not None:
-            self._singularity.leaving = False  # the permission is for one exit only
+        self._singularity.leaving = False  # the permission is for one exit only
         return self._rest(finding, joints_rad, dt_s)
 
     def _objection(self, now_s: float) -> Finding | None:
@@ -215,11 +202,11 @@ class Supervisor:
         if finding is not None:
             return finding
         # The target is checked last: it is requested only if nothing else is missing.
-        if self.goal.position_m is None:
+        if self.goal.z is None:
             why = self._present.problem or "no image is usable yet"
-            return Reason.NO_POSITION.because(what=self.config.servoed.what, why=why)
-        if self.goal.target_m is None:
-            return Reason.NO_TARGET.because(name=self.config.servoed.target.name)
+            return Reason.NO_POSITION.because(what=self.config.kind.what, why=why)
+        if self.goal.target is None:
+            return Reason.NO_TARGET.because(name=self.config.kind.topics.target.name)
         return self._singularity.check(self._smallest_m_rad, self.config)
 
     def _trouble_in_motion(self, dt_s: float) -> Finding | None:
@@ -280,7 +267,7 @@ class Supervisor:
         reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING
         error = self.goal.error_m
         assert error is not None
-        finding = reason.because(error=Distance(config.servoed, error))
+        finding = reason.because(error=ErrorText(config.kind, error))
         return self._answer(finding, ", ".join(active), output)
 
     def _rest(self, finding: Finding | None, joints: np.ndarray | None, dt_s: float) -> Command:
@@ -325,7 +312,7 @@ class Supervisor:
             "reason": last.reason.name,
             "started": str(self.started).lower(),
             "settled": str(self.goal.settled).lower(),
-            **config.servoed.parts(error),
+            **config.kind.status_values(error),
             "active_limit": last.active_limit,
             "fastest_joint_rad_s": largest(self._velocity),
             "smallest_singular_value_m_rad": singular,
@@ -333,30 +320,31 @@ class Supervisor:
             **self.inputs.status_values(now_s),
         }
         vectors = {
-            "target_{}_m": self.goal.target_m,
-            "position_{}_m": self.goal.position_m,
+            "target_{}_m": self.goal.target,
+            "position_{}_m": self.goal.z,
             "exponent_{}": None if last.output is None else last.output.exponent,
         }
         for name, vector in vectors.items():
-            places = config.workspace_min_m if name.endswith("_m") else config.servoed.axes
-            for place, axis in enumerate(config.servoed.axes[: len(places)]):
+            places = config.kind.places if name.endswith("_m") else config.kind.size
+            for place, axis in enumerate(config.kind.axes[:places]):
                 values[name.format(axis)] = nan if vector is None else float(vector[place])
         return values
 
 
-def _ask(
-    propose: Propose, error_m: np.ndarray, velocity_rad_s: np.ndarray, dt_s: float
+def answer(
+    propose: Callable[[], ControlOutput], velocity_rad_s: np.ndarray, size: int
 ) -> tuple[Finding | None, ControlOutput | None]:
-    """Call the law and check its output; a tick of zero length repeats the last command."""
-    if dt_s <= 0.0:
-        return None, ControlOutput.plain(velocity_rad_s, error_m.size)
-    expected = ControlOutput(velocity_rad_s, error_m, error_m)
+    """The output of a law for as many joints as velocities, (n,), and errors of a size, d.
+
+    Or what is wrong with it: then the arm must stop.
+    """
+    counts = len(velocity_rad_s), size, size
     try:
-        output = propose(error_m, velocity_rad_s, dt_s)
-        for name, value, like in zip(output._fields, output, expected, strict=True):
-            if np.shape(value) != like.shape or not all_finite(np.asarray(value)):
+        output = propose()
+        for name, value, count in zip(output._fields, output, counts, strict=True):
+            if np.shape(value) != (count,) or not all_finite(np.asarray(value)):
                 raise ValueError(f"its {name} is {value}")
-    except Exception as error:  # whatever a law does wrong, the arm must stop
+    except Exception as error:  # whatever a law does wrong
         return Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}"), None
     return None, output
 

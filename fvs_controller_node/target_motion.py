@@ -51,7 +51,7 @@ class Update(Enum):
 
 
 class Target(NamedTuple):
-    """Where a target is, m, (m,), and its velocity, m/s, (m,)."""
+    """Where a target is on its path, m, (d,), and its velocity, m/s, (d,)."""
 
     position_m: np.ndarray
     velocity_m_s: np.ndarray
@@ -77,13 +77,8 @@ class TargetMotion:
         self._updates.clear()
         self._curve = None
 
-    @property
-    def last_m(self) -> np.ndarray | None:
-        """Where it was at the last update, m, (m,); None before the first."""
-        return self._updates[-1][1] if self._updates else None
-
     def update(self, position_m: np.ndarray, now_s: float = -inf, age_s: float = 0.0) -> Update:
-        """Take an update: position, m, (m,), its time, s, and the message's age, s.
+        """Take an update: position on its path, m, (d,), its time, s, and the message's age, s.
 
         A time of minus infinity sets a fixed target.
         """

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fvs_ros.camera import BallConfig, CameraTopicsConfig
-from fvs_ros.feature import ServoedConfig
 from fvs_ros.joints import JOINT_PARAMETERS
+from fvs_ros.kinds import KindConfig
 from fvs_ros.params import parameter
 
 #: Versions of viser that the guard is known to work with: it reaches into viser.
@@ -14,7 +14,7 @@ VISER = "viser[urdf]>=1.1,<1.2"
 
 
 @dataclass(frozen=True)
-class DashboardConfig(BallConfig, ServoedConfig, CameraTopicsConfig):
+class DashboardConfig(BallConfig, KindConfig, CameraTopicsConfig):
     """Parameters of the page, apart from the joint names."""
 
     host: str = parameter(

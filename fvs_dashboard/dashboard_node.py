@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PoseStamped
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
@@ -26,13 +26,12 @@ from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
 from fvs_dashboard.markup import SHOWN_BY
 from fvs_dashboard.picture import Picture
 from fvs_dashboard.services_of_node import ANSWER_S, Services
-from fvs_estimator_node.files import MODELS, load_model
+from fvs_estimator_node.files import load_model
 from fvs_ros import ros, topics
-from fvs_ros.feature import PoseFeature
 from fvs_ros.joints import JointMap, JointStateError
+from fvs_ros.kinds.pose import Pose
 from fvs_ros.paths import find_file
 from fvs_ros.ros.images import from_color, sampled_camera
-from fvs_ros.rotations import rotation_from_quaternion
 from fvs_tools.demo import choose_target
 
 _PERIOD_S, _LOOK_PERIOD_S = 0.1, 1.0
@@ -57,7 +56,7 @@ class DashboardNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_dashboard", PARAMETERS)
         v, self._config = self.values, DashboardConfig.from_values(self.values)
-        self._feature = self._config.servoed
+        self._kind = self._config.kind
         self._target_m: np.ndarray | None = None  # sent from here last, (m,)
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._board = Board(len(self._joint_map.names))
@@ -72,8 +71,8 @@ class DashboardNode(ros.FvsNode):
         #: Where ball or tag can be, camera frame, m, shape (n, m).
         self._candidates_m: np.ndarray | None = None
         if self._config.model_path or self._config.tour:
-            model = self._config.model_path or MODELS[self._config.feature]
-            trained = load_model(find_file(model), servoed=self._config)
+            model = self._config.model_path or self._kind.model
+            trained = load_model(find_file(model), expected=self._config)
             self._candidates_m = trained.ball_samples_m
         self._tour_due_s = -inf
         self._begun: dict[str, Any] = {}  # the simulator's parameters as they were at first
@@ -91,13 +90,14 @@ class DashboardNode(ros.FvsNode):
 
     def _subscribe(self) -> None:
         # Not latched: a controller that starts later must not move to an old target.
+        target = self._kind.topics.target
         self._target = self.create_publisher(
-            ros.message_class(self._feature.target.type), self._feature.target.name, ros.QOS_EVENT
+            ros.message_class(target.type), target.name, ros.QOS_EVENT
         )
         self._joint_states = ros.Sampled(
             self, JointState, topics.JOINT_STATES.name, self._on_joint_states
         )
-        self.subscribe(self._feature.seen, self._on_feature)
+        self.subscribe(self._kind.topics.tool, self._on_feature)
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
         self.subscribe(topics.DETECTOR_STATUS, self._on_detector)
         self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
@@ -117,12 +117,12 @@ class DashboardNode(ros.FvsNode):
         stamp_s = ros.from_stamp(message.header.stamp)
         self._board.add_joints(self.steady_s(), stamp_s, joints, velocity)
 
-    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
-        feature, frame = self._feature, self._config.feature_frame
-        feature_m = ros.from_feature(message, feature, frame, feature.seen.name)
+    def _on_feature(self, message: Any) -> None:
+        kind, frame = self._kind, self._config.feature_frame
+        z = ros.from_feature(message, kind, frame, kind.topics.tool.name)
         stamp_s = ros.from_stamp(message.header.stamp)
-        self._board.add_ball(self.steady_s(), stamp_s, feature_m)
-        self._picture.add_ball(stamp_s, feature_m[:3])
+        self._board.add_ball(self.steady_s(), stamp_s, z)
+        self._picture.add_ball(stamp_s, z[:3])
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         controller = Controller(ros.from_status(message), message.message)
@@ -150,8 +150,9 @@ class DashboardNode(ros.FvsNode):
 
     def _on_camera_pose(self, message: PoseStamped) -> None:
         pose = np.eye(4)
-        pose[:3, 3], quaternion = ros.from_pose(message, topics.TRUE_CAMERA_POSE.name)
-        pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+        frame, name = message.header.frame_id, topics.TRUE_CAMERA_POSE.name
+        z = ros.from_feature(message, Pose(), frame, name)
+        pose[:3, 3], pose[:3, :3] = z[:3], Pose().rotation(z)
         self._board.place_camera(pose)
 
     def _on_image(self, message: Image) -> None:
@@ -242,7 +243,7 @@ class DashboardNode(ros.FvsNode):
         elif action.name == "target":
             target_m = self._wanted(action.value)
             if target_m is None:
-                self._answer("not done: the tag has not been seen yet, so its rotation is unknown")
+                self._answer(f"not done: no {self._kind.what} yet, so its rotation is unknown")
             else:
                 self._send_target(target_m)
         elif action.name == "tour":
@@ -269,22 +270,23 @@ class DashboardNode(ros.FvsNode):
             self._at_rest_s = inf
 
     def _send_target(self, target_m: np.ndarray) -> None:
-        feature, frame = self._feature, self._config.feature_frame
+        kind, frame = self._kind, self._config.feature_frame
         self._target_m = target_m
         self._board.note("target", self.steady_s(), target_m)
-        self._target.publish(ros.to_feature(self.ros_s(), frame, feature, target_m))
+        self._target.publish(ros.to_feature(self.ros_s(), frame, kind, target_m))
 
     def _wanted(self, numbers: Sequence[float]) -> np.ndarray | None:
         """The target, (m,), of a user's: a place without a rotation keeps that of the last one."""
-        feature, given = self._feature, np.array(numbers)
-        if not isinstance(feature, PoseFeature):
-            return given[:3]
-        if len(given) > 3:
-            return feature.of(given[:3], rotation_from_quaternion(np.roll(given[3:], -1)))
-        last_m = self._target_m
-        if last_m is None:
-            last_m = self._board.newest("ball_position", self.steady_s())
-        return None if last_m is None else np.append(given, last_m[3:])
+        position_m, wxyz = np.array(numbers[:3]), np.array(numbers[3:])
+        if len(wxyz):
+            turn = Rotation.from_quat(np.roll(wxyz, -1)).as_matrix()
+            return self._kind.of_body(position_m, turn)
+        last = self._target_m
+        if last is None:
+            last = self._board.newest("ball_position", self.steady_s())
+        if last is None and self._kind.flat:
+            last = position_m
+        return None if last is None else np.append(position_m, last[3:])
 
     def _answer(self, text: str) -> None:
         self._board.note("answer", self.steady_s(), text)
@@ -299,7 +301,8 @@ class DashboardNode(ros.FvsNode):
         ready = controller.state == "SERVOING" or controller.reason == "NO_TARGET"
         if seen_m is not None and ready:
             self._tour_due_s = now_s + _TARGET_S
-            self._send_target(choose_target(self._candidates_m, seen_m, _TOUR_M, self._rng))
+            candidates = self._candidates_m
+            self._send_target(choose_target(self._kind, candidates, seen_m, _TOUR_M, self._rng))
 
     def finish(self) -> None:
         """Stop serving."""

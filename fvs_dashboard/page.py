@@ -86,7 +86,7 @@ class Page:
             self._notes = gui.add_html("")
         curves.dock_left()
         curves.set_width(_LEFT_PX)
-        self.scene = Scene(server, config.ball_radius_m, config.servoed, self._dragged)
+        self.scene = Scene(server, config.ball_radius_m, config.kind, self._dragged)
         # Behind the simulator's camera, so that view and picture have the same orientation.
         server.initial_camera.position = (2.9, -1.05, 1.4)
         server.initial_camera.look_at = (0.6, -0.3, 0.42)

@@ -17,7 +17,7 @@ from viser.transforms import SO3
 
 from fvs_dashboard import picture
 from fvs_dashboard.board import Board
-from fvs_ros.feature import Feature, PoseFeature
+from fvs_ros.kinds import Kind
 from fvs_ros.paths import find_mesh
 from fvs_ros.urdf import read_robot
 
@@ -46,10 +46,10 @@ class Scene:
         self,
         server: viser.ViserServer,
         ball_radius_m: float,
-        feature: Feature,
+        kind: Kind,
         on_drag: Callable[[tuple[float, ...]], None],
     ) -> None:
-        self._server, self._pose = server, feature if isinstance(feature, PoseFeature) else None
+        self._server, self._kind = server, kind
         self._on_drag = on_drag
         self._held_s = -inf  # when a person last held the target
         self._arm: Arm | None = None
@@ -100,13 +100,13 @@ class Scene:
             "/base/camera/target",
             scale=0.16,
             line_width=3.0,
-            disable_rotations=self._pose is None,
+            disable_rotations=self._kind.flat,
             depth_test=False,
             visible=False,
         )
         # Smaller than the ball, which hides it once it is there.
         scene.add_icosphere("/base/camera/target/ball", 0.6 * ball_radius_m, _TARGET, opacity=0.8)
-        if self._pose is not None:
+        if not self._kind.flat:
             scene.add_frame("/base/camera/target/axes", axes_length=0.08, axes_radius=0.003)
 
         @self._target.on_update
@@ -114,7 +114,7 @@ class Scene:
             # In the page's thread; assignments of numbers alone.
             self._held_s = time.monotonic()
             if event.phase != "start":
-                turn = () if self._pose is None else event.target.wxyz
+                turn = () if self._kind.flat else event.target.wxyz
                 self._on_drag(tuple(float(value) for value in (*event.target.position, *turn)))
 
     def set_arm(self, arm: Arm) -> None:
@@ -153,13 +153,14 @@ class Scene:
         if len(trail_m) > 1:
             self._trail.points = _pieces(trail_m)
 
-    def _turn(self, node: viser.SceneNodeHandle, feature_m: np.ndarray | None) -> None:
-        """Turn a node as a pose is turned, and put the tag's own axes to it."""
-        if self._pose is None or feature_m is None:
+    def _turn(self, node: viser.SceneNodeHandle, z: np.ndarray | None) -> None:
+        """Turn a node as the feature is turned, and put its own axes to it."""
+        axes = np.zeros((0, 3)) if z is None else self._kind.directions(z)
+        if z is None or len(axes) < 3:
             return
-        node.wxyz = SO3.from_matrix(self._pose.rotation(feature_m)).wxyz
+        node.wxyz = SO3.from_matrix(axes.T / np.linalg.norm(axes, axis=1)).wxyz
         if node is self._axes:
-            _put(node, feature_m[:3])
+            _put(node, z[:3])
 
     def show_picture(self, field_of_view: tuple[float, float], image: np.ndarray | None) -> None:
         """Show a new picture in the camera's view: vertical angle, rad, and width over height."""

@@ -9,6 +9,7 @@ from fvs_detector_node.detection import BallColour
 from fvs_detector_node.tags import Tag
 from fvs_ros import topics
 from fvs_ros.camera import CameraTopicsConfig
+from fvs_ros.kinds import KINDS, KindConfig
 from fvs_ros.params import parameter
 
 
@@ -17,9 +18,9 @@ class DetectorConfig(CameraTopicsConfig):
     """Parameters of ball or tag, and of the image topics."""
 
     feature: str = parameter(
-        topics.BALL,
+        KindConfig.feature,
         "ball, or pose: of a tag, from the colour image; depth is not needed, but helps",
-        choices=topics.FEATURES,
+        choices=tuple(KINDS),
     )
     compressed_images: bool = parameter(
         False,

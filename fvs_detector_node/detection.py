@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -50,6 +51,20 @@ class BallDetection:
     visible_fraction: float  # of the outline's area; what the image border cuts off is not visible
     residual_m: float  # systematic departure of the measured surface from the sphere, rms
     radius_px: float  # of a circle of the outline's area
+
+    rotation: ClassVar[np.ndarray] = np.eye(3)  # a ball has none
+
+    def draw(
+        self, picture: np.ndarray, camera: Intrinsics, colour: tuple[int, int, int], thick: int
+    ) -> str:
+        """Draw the ball; returns its numbers in words."""
+        # Subpixel coordinates (sixteenths): the drawing moves smoothly.
+        centre = np.round(16.0 * camera.project(self.position_m)).astype(int).tolist()
+        cv2.circle(picture, centre, round(16 * self.radius_px), colour, thick, cv2.LINE_AA, 4)
+        cv2.circle(picture, centre, 16 * thick, colour, cv2.FILLED, cv2.LINE_AA, 4)
+        x, y, z = self.position_m
+        seen = f"quality {self.quality:.2f}  visible {self.visible_fraction:.0%}  "
+        return f"{seen}x {x:+.3f} y {y:+.3f} z {z:.3f} m"
 
 
 class Cause(enum.IntEnum):

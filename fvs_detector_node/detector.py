@@ -34,8 +34,11 @@ class Sighting:
     box: Region | None = None  # what the problem is about, if nothing is seen
 
 
-class Detector:
+class BallDetector:
     """Looks for the ball at its predicted place, else everywhere; its ``gate`` refuses jumps."""
+
+    needs_depth = True
+    measured = ("quality", "visible_fraction", "residual_m", "radius_px")
 
     def __init__(self, config: DetectorConfig) -> None:
         self._rectifier: Rectifier | None = None
@@ -167,24 +170,8 @@ def annotate(rgb: np.ndarray, sighting: Sighting, camera: Intrinsics) -> np.ndar
     found, box = sighting.found, sighting.box
     refused_rgb = (255, 170, 0)
     colour = refused_rgb if sighting.problem else (60, 230, 60)
-    if isinstance(found, TagPose):
-        corners = np.round(16.0 * found.corners_px).astype(int)
-        cv2.polylines(picture, list(corners), True, colour, thick, cv2.LINE_AA, 4)
-        tip_m = found.position_m + 0.05 * found.rotation[:, 2]
-        ends_px = camera.project(np.array([found.position_m, tip_m]))
-        start, end = np.round(16.0 * ends_px).astype(int).tolist()
-        cv2.line(picture, start, end, colour, thick, cv2.LINE_AA, 4)
-        x, y, z = found.position_m
-        lines.insert(0, f"{found.residual_px:.2f} px  x {x:+.4f} y {y:+.4f} z {z:.4f} m")
-    elif found is not None:
-        ball = found
-        # Subpixel coordinates (sixteenths): the drawing moves smoothly.
-        centre = np.round(16.0 * camera.project(ball.position_m)).astype(int).tolist()
-        cv2.circle(picture, centre, round(16 * ball.radius_px), colour, thick, cv2.LINE_AA, 4)
-        cv2.circle(picture, centre, 16 * thick, colour, cv2.FILLED, cv2.LINE_AA, 4)
-        x, y, z = ball.position_m
-        seen = f"quality {ball.quality:.2f}  visible {ball.visible_fraction:.0%}  "
-        lines.insert(0, f"{seen}x {x:+.3f} y {y:+.3f} z {z:.3f} m")
+    if found is not None:
+        lines.insert(0, found.draw(picture, camera, colour, thick))
     elif box is not None:
         cv2.rectangle(picture, (box.u0, box.v0, box.width, box.height), refused_rgb, thick)
     # White on a darkened band: readable before anything.

@@ -12,35 +12,29 @@ from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
-from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from fvs_detector_node.config import PARAMETERS, CameraTopics, DetectorConfig
-from fvs_detector_node.detector import Detector, Sighting, annotate
+from fvs_detector_node.detector import BallDetector, Sighting, annotate
 from fvs_detector_node.pairing import Pair, Pairing
 from fvs_detector_node.tag_detector import TagDetector
-from fvs_detector_node.tag_pose import TagPose
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
+from fvs_ros.kinds import kind_of
 from fvs_ros.ros.images import from_color, from_depth
 from fvs_ros.ros.inputs import ArrivalMonitor
-from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.topics import CAMERA_PREFIXES
 
 T = TypeVar("T")
 
 WAITING, TRACKING, LOST, FAULT = "WAITING", "TRACKING", "LOST", "FAULT"
-#: What the status holds of what is detected.
-_MEASURED = {
-    topics.BALL: ("quality", "visible_fraction", "residual_m", "radius_px"),
-    topics.POSE: ("residual_px",),
-}
-_SEEN = {
-    topics.BALL: "the ball is seen, its position is published",
-    topics.POSE: "the tag is seen, its pose is published",
+#: By the kind of feature. A new detector is a file in this folder and a line here.
+DETECTORS: dict[str, type[BallDetector | TagDetector]] = {
+    "ball": BallDetector,
+    "pose": TagDetector,
 }
 #: Time without messages after which an input is missing, s; the slowest cameras have 5 Hz.
 _MISSING_S = 1.0
@@ -60,9 +54,9 @@ class DetectorNode(ros.FvsNode):
         super().__init__("fvs_detector_node", PARAMETERS)
         cv2.setNumThreads(1)  # threads have no benefit for one small image at a time
         self._config = DetectorConfig.from_values(self.values)
-        #: A ball is measured by its depth, too; a tag by colour, and depth only helps.
-        self._needs_depth = self._config.feature == topics.BALL
-        self._detector = (Detector if self._needs_depth else TagDetector)(self._config)
+        self._kind = kind_of(self._config.feature)
+        self._detector = DETECTORS[self._config.feature](self._config)
+        self._needs_depth = self._detector.needs_depth
         # A little less than half the period of 30 images a second; without need, more than one.
         self._pairing = Pairing(0.015 if self._needs_depth else 0.05, self._needs_depth)
         self._restarts = 0
@@ -74,8 +68,7 @@ class DetectorNode(ros.FvsNode):
         # Log delay: discovery of a camera takes a moment, and a barely visible ball flickers.
         self._logged, self._logged_s = "", self.now_s()
 
-        feature = topics.BALL_POSITION if self._needs_depth else topics.TOOL_POSE
-        self._feature = self.publisher(feature)
+        self._feature = self.publisher(self._kind.topics.tool)
         self._annotated = self.publisher(topics.ANNOTATED_IMAGE)
         prefix = self._config.camera_topics or CAMERA_PREFIXES[0]
         self._topics = CameraTopics.below(prefix, self._config.compressed_images)
@@ -196,12 +189,8 @@ class DetectorNode(ros.FvsNode):
         if found is None or sighting.problem:
             return
         exposed_s = pair.stamp_s - self._config.stamp_delay_s
-        message: PointStamped | PoseStamped
-        if isinstance(found, TagPose):
-            quaternion = quaternion_from_rotation(found.rotation)
-            message = ros.to_pose(exposed_s, frame, found.position_m, quaternion)
-        else:
-            message = ros.to_point(exposed_s, frame, found.position_m)
+        z = self._kind.of_body(found.position_m, found.rotation)
+        message = ros.to_feature(exposed_s, frame, self._kind, z)
         if exposed_s == pair.stamp_s:
             message.header.stamp = pair.colour.header.stamp  # to the nanosecond, as it came
         self._feature.publish(message)
@@ -253,7 +242,10 @@ class DetectorNode(ros.FvsNode):
             return WAITING, "waiting for the first images"
         if self._sighting.problem:
             return LOST, self._sighting.problem
-        return TRACKING, _SEEN[self._config.feature]
+        return (
+            TRACKING,
+            f"the {self._kind.what} is seen, {self._kind.topics.tool.name} is published",
+        )
 
     def _unpaired(self) -> tuple[str, str]:
         repeats, offset_s = self._pairing.repeats, self._pairing.offset_s
@@ -277,7 +269,7 @@ class DetectorNode(ros.FvsNode):
             state,
             reason,
             {
-                **{key: getattr(found, key, None) for key in _MEASURED[self._config.feature]},
+                **{key: getattr(found, key, None) for key in self._detector.measured},
                 "latency_s": self._latency_s,
                 "color_rate_hz": _rate_hz(self.monitor(self._topics.color), now_s),
                 "paired_rate_hz": _rate_hz(self._pairs, now_s),

@@ -51,6 +51,9 @@ class _View:
 class TagDetector:
     """Looks for the tag where it was, else everywhere; its ``gate`` refuses jumps."""
 
+    needs_depth = False  # it only helps
+    measured = ("residual_px",)
+
     def __init__(self, config: DetectorConfig) -> None:
         self._reader, self._tag = TagReader(config.tag), config.tag
         self.gate = Gate(config.max_ball_speed_m_s)

@@ -10,6 +10,7 @@ print. Depth serves for nothing else: its errors are larger than those of the co
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -69,6 +70,21 @@ class TagPose:
     numbers: tuple[int, ...]  # of the tags that are seen
     corners_px: np.ndarray  # of these, clockwise from the upper left, (k, 4, 2)
     residual_px: float  # of the corners, rms
+
+    visible_fraction: ClassVar[float] = 1.0  # a tag is read as a whole, or not
+
+    def draw(
+        self, picture: np.ndarray, camera: Intrinsics, colour: tuple[int, int, int], thick: int
+    ) -> str:
+        """Draw the tag and its z axis; returns its numbers in words."""
+        corners = np.round(16.0 * self.corners_px).astype(int)
+        cv2.polylines(picture, list(corners), True, colour, thick, cv2.LINE_AA, 4)
+        tip_m = self.position_m + 0.05 * self.rotation[:, 2]
+        ends_px = camera.project(np.array([self.position_m, tip_m]))
+        start, end = np.round(16.0 * ends_px).astype(int).tolist()
+        cv2.line(picture, start, end, colour, thick, cv2.LINE_AA, 4)
+        x, y, z = self.position_m
+        return f"{self.residual_px:.2f} px  x {x:+.4f} y {y:+.4f} z {z:.4f} m"
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from fvs_ros.chain import SerialChain
+from fvs_ros.kinds import Kind
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.params import Parameters
 
 #: What an estimator is made from.
@@ -30,10 +32,12 @@ class MotionStep:
         Joint positions at the middle of the step, rad, where its Jacobian applies.
     d_joints_rad : ndarray, shape (n,)
         Joint motion, rad.
-    d_feature_m : ndarray, shape (m,)
+    d_feature_m : ndarray, shape (d,)
         Motion of the feature in the camera frame, m.
-    sliding_variable : ndarray, shape (m,), or 0
+    sliding_variable : ndarray, shape (d,), or 0
         The controller's newest sliding variable s; 0 without a controller.
+    z : ndarray, shape (m,), optional
+        The feature at the end of the step; not needed of a kind that is flat.
     """
 
     stamp_s: float
@@ -42,6 +46,7 @@ class MotionStep:
     d_joints_rad: np.ndarray
     d_feature_m: np.ndarray
     sliding_variable: np.ndarray | float = 0.0
+    z: np.ndarray | None = None
 
     @property
     def start_stamp_s(self) -> float:
@@ -55,21 +60,24 @@ class MotionStep:
 
     @property
     def feature_velocity(self) -> np.ndarray:
-        """Mean velocity of the feature, m/s, shape (m,)."""
+        """Mean velocity of the feature, m/s, shape (d,)."""
         return self.d_feature_m / self.dt_s
 
 
 class Estimator(ABC):
-    """Estimates the m x n Jacobian of the feature with respect to the joints.
+    """Estimates the d x n Jacobian of the feature with respect to the joints.
 
     It takes steps and answers with Jacobians; it knows neither topics nor clocks.
+
+    Parameters
+    ----------
+    kind : Kind, optional
+        The kind of feature: m numbers that move in d ways; a ball by default.
 
     Attributes
     ----------
     updates, refused : int
         How many inputs it learned from, and how many it could not use.
-    features : int
-        Length m of the feature, where no model tells it.
     """
 
     #: Whether :meth:`update` and :meth:`observe` can change anything.
@@ -79,9 +87,9 @@ class Estimator(ABC):
     #: Its parameters; a node declares them with the name of their group before each.
     config_type: ClassVar[type[Parameters]] = Parameters
     group: ClassVar[str] = ""
-    features = 3
 
-    def __init__(self) -> None:
+    def __init__(self, kind: Kind | None = None) -> None:
+        self.kind = kind or Ball()
         self.updates = self.refused = 0
 
     @property
@@ -95,11 +103,14 @@ class Estimator(ABC):
         return None
 
     @abstractmethod
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Estimate at joints, rad, shape (n,): m/rad, a new array of shape (m, n)."""
+    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
+        """Estimate at joints, rad, (n,), and the feature there, (m,): m/rad, a new array, (d, n).
+
+        Of a kind that is flat, it does not depend on z.
+        """
 
     def observe(  # noqa: B027
-        self, joints_rad: np.ndarray, feature_m: np.ndarray, noise_m: float
+        self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float
     ) -> None:
         """Take every image that is no outlier, also at rest, before the update.
 
@@ -107,8 +118,8 @@ class Estimator(ABC):
         ----------
         joints_rad : ndarray, shape (n,)
             Joints at the exposure, rad.
-        feature_m : ndarray, shape (m,)
-            The feature, camera frame, m.
+        z : ndarray, shape (m,)
+            The feature, camera frame.
         noise_m : float
             Standard deviation of a coordinate of it, as learned so far, m.
         """
@@ -130,7 +141,7 @@ class Estimator(ABC):
 class OracleEstimator(Estimator):
     """The true Jacobian of the simulator: the reference for all estimates.
 
-    ``true_jacobian`` takes joints, rad, (n,), to the true Jacobian, m/rad, (m, n). Without it the
+    ``true_jacobian`` takes joints, rad, (n,), to the true Jacobian, m/rad, (d, n). Without it the
     Jacobian is the newest of :meth:`set_true_jacobian`, at any joints.
     """
 
@@ -140,8 +151,9 @@ class OracleEstimator(Estimator):
         self,
         true_jacobian: Callable[[np.ndarray], np.ndarray] | None = None,
         _config: object = None,
+        kind: Kind | None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(kind)
         self._true_jacobian = true_jacobian
         self._published: np.ndarray | None = None
 
@@ -153,11 +165,11 @@ class OracleEstimator(Estimator):
         return "no true Jacobian yet; only a simulator publishes it"
 
     def set_true_jacobian(self, jacobian: np.ndarray) -> None:
-        """Take the present true Jacobian, m/rad, shape (m, n), finite."""
+        """Take the present true Jacobian, m/rad, shape (d, n), finite."""
         self._published = np.array(jacobian, dtype=float)
 
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """The true Jacobian, m/rad, shape (m, n); ValueError if it is not known."""
+    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
+        """The true Jacobian, m/rad, shape (d, n); ValueError if it is not known."""
         if self._true_jacobian is not None:
             return np.array(self._true_jacobian(joints_rad), dtype=float)
         if self._published is None:

@@ -9,7 +9,6 @@ translation t, and ``J = R J_model``. A fitted chain gives p. Networks give only
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,9 @@ import numpy as np
 from fvs_estimator_node.base import CHAIN, NETWORKS, Estimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_ros.chain import SerialChain
+from fvs_ros.filter import OUTLIER
+from fvs_ros.kinds import Kind
 from fvs_ros.rotations import nearest_rotation, rotation_angle_rad
-from fvs_ros.tracker import OUTLIER
 from fvs_ros.vectors import length
 
 #: Prior deviation of the rotation, rad, and memory (positions until a weight has decayed by 63 %),
@@ -31,6 +31,9 @@ _BUMP_M = 0.01
 _BUMPED_RAD, _SOON = 0.7, 20
 #: A ball within this distance of the last stored position is at rest, m.
 _STILL_M = 0.002
+
+
+_NO_DIRECTIONS = np.zeros((0, 3))
 
 
 class CameraPose:
@@ -76,10 +79,15 @@ class CameraPose:
         self._scatter, self._weight = np.zeros((3, 3)), 0.0
         self._mean_p, self._mean_x, self._kept_at = np.zeros((3, 3))
 
-    def add(self, model_m: np.ndarray, seen_m: np.ndarray, noise_m: float) -> None:
-        """Take the feature by the model and by the image, m, (m,) each: a point, any directions."""
-        directions, seen_directions = (one[3:].reshape(-1, 3) for one in (model_m, seen_m))
-        model_m, seen_m = model_m[:3], seen_m[:3]
+    def add(
+        self,
+        model_m: np.ndarray,
+        seen_m: np.ndarray,
+        noise_m: float,
+        directions: np.ndarray = _NO_DIRECTIONS,
+        seen_directions: np.ndarray = _NO_DIRECTIONS,
+    ) -> None:
+        """Take a position by the model and by the image, m, (3,), and directions, m, (k, 3)."""
         off_m = length(seen_m - (self.rotation @ model_m + self.translation_m))
         if directions.size:
             turned_m = seen_directions - directions @ self.rotation.T
@@ -119,9 +127,8 @@ class CameraPose:
 class _BehindCamera(Estimator):
     """A model whose Jacobian is turned by the camera's rotation."""
 
-    def __init__(self, model: Any, deviation_rad: float, memory: float) -> None:
-        super().__init__()
-        self._model = model
+    def __init__(self, kind: Kind | None, deviation_rad: float, memory: float) -> None:
+        super().__init__(kind)
         self.camera = CameraPose(deviation_rad, memory)
 
     def reset(self) -> None:
@@ -129,21 +136,10 @@ class _BehindCamera(Estimator):
         super().reset()
         self.camera.reset()
 
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Estimate at given joints, m/rad, shape (m, n)."""
-        jacobian = self._model.jacobian(joints_rad)
-        turned = self.camera.rotation @ jacobian.reshape(-1, 3, jacobian.shape[1])
-        return turned.reshape(jacobian.shape)
-
-    def observe(self, joints_rad: np.ndarray, feature_m: np.ndarray, noise_m: float) -> None:
-        """Learn the camera's pose from where the feature is."""
-        position_m = self._position(joints_rad, feature_m)
-        self.camera.add(position_m, feature_m[: len(position_m)], noise_m)
-        self.updates += 1
-
-    @abstractmethod
-    def _position(self, joints_rad: np.ndarray, feature_m: np.ndarray) -> np.ndarray:
-        """Where the model has the feature, m, (m,), or only its point, (3,)."""
+    def _turned(self, motions: np.ndarray) -> np.ndarray:
+        """Motions of points and directions, (3 k, n), as the camera sees them now."""
+        turned = self.camera.rotation @ motions.reshape(-1, 3, motions.shape[1])
+        return np.asarray(turned.reshape(motions.shape))
 
     def status_values(self) -> dict[str, float]:
         """Counts, how far the camera has been turned, and how often it was bumped."""
@@ -157,8 +153,8 @@ class PoeEstimator(_BehindCamera):
 
     made_from = CHAIN
 
-    def __init__(self, chain: SerialChain, _config: Any = None) -> None:
-        super().__init__(chain, *_CHAIN)
+    def __init__(self, chain: SerialChain, _config: Any = None, kind: Kind | None = None) -> None:
+        super().__init__(kind, *_CHAIN)
         self._fitted = chain
 
     @property
@@ -166,8 +162,16 @@ class PoeEstimator(_BehindCamera):
         """The chain as the camera sees it now."""
         return self._fitted.moved(self.camera.rotation, self.camera.translation_m)
 
-    def _position(self, joints_rad: np.ndarray, _feature_m: np.ndarray) -> np.ndarray:
-        return self._fitted.position(joints_rad)
+    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
+        """Estimate at joints, rad, (n,): m/rad, shape (d, n)."""
+        return self._turned(self.kind.moved_by(*self._fitted.motion(joints_rad)))
+
+    def observe(self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float) -> None:
+        """Learn the camera's pose from where the feature is."""
+        model = self._fitted.position(joints_rad)
+        directions = self.kind.directions(model), self.kind.directions(z)
+        self.camera.add(model[:3], z[:3], noise_m, *directions)
+        self.updates += 1
 
 
 class TurnedRbfEstimator(_BehindCamera):
@@ -175,8 +179,9 @@ class TurnedRbfEstimator(_BehindCamera):
 
     made_from = NETWORKS
 
-    def __init__(self, model: RbfModel, _config: Any = None) -> None:
-        super().__init__(FrozenRbfEstimator(model), *_NETWORKS)
+    def __init__(self, model: RbfModel, _config: Any = None, kind: Kind | None = None) -> None:
+        super().__init__(kind, *_NETWORKS)
+        self._model = FrozenRbfEstimator(model, None, kind)
         self._joints: np.ndarray | None = None
         self._sum_m = np.zeros(3)
 
@@ -185,13 +190,22 @@ class TurnedRbfEstimator(_BehindCamera):
         super().reset()
         self._joints = None
 
-    def _position(self, joints_rad: np.ndarray, feature_m: np.ndarray) -> np.ndarray:
-        # Of a pose the point alone: directions say nothing before the camera's rotation is known.
+    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
+        """Estimate at joints, rad, (n,), and the feature there, (m,): m/rad, shape (d, n)."""
+        columns = self._turned(self._model.jacobian(joints_rad))
+        return columns if z is None else self.kind.to_tangent(z, columns)
+
+    def observe(self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float) -> None:
+        """Learn the camera's rotation from the motion of the position.
+
+        Directions say nothing before the camera's rotation is known.
+        """
         if self._joints is None:
-            self._sum_m = feature_m[:3]
+            self._sum_m = z[:3]
         else:
             step = joints_rad - self._joints
-            moved = self._model.jacobian(self._joints + 0.5 * step) @ step
-            self._sum_m = self._sum_m + moved[:3]
+            moved_m = self._model.jacobian(self._joints + 0.5 * step)[:3] @ step
+            self._sum_m = self._sum_m + moved_m
         self._joints = joints_rad
-        return self._sum_m
+        self.camera.add(self._sum_m, z[:3], noise_m)
+        self.updates += 1

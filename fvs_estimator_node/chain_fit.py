@@ -34,8 +34,8 @@ from fvs_estimator_node.chain_start import (
 )
 from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain, cross_matrix
+from fvs_ros.filter import OUTLIER
 from fvs_ros.timeline import MAX_GAP_S
-from fvs_ros.tracker import OUTLIER
 from fvs_ros.vectors import LARGEST, plausible
 
 #: Fewest images that a chain is fitted to.
@@ -76,6 +76,8 @@ class ChainFit:
     ----------
     chain : SerialChain
         The chain.
+    weights : ndarray, shape (m,)
+        Lengths, m, of the numbers that it carries: residuals are of the weighted numbers.
     time_offset_s, time_offset_deviation_s : float
         How late the images are stamped, s: one stamped t shows the joints at t - offset; and its
         standard deviation, s.
@@ -99,6 +101,7 @@ class ChainFit:
     """
 
     chain: SerialChain
+    weights: np.ndarray
     time_offset_s: float
     time_offset_deviation_s: float
     residual_m: float
@@ -144,8 +147,9 @@ class ChainFit:
         ndarray, shape (k,)
             Frobenius norm of the deviation over that of the Jacobian.
         """
-        chart = Chart(self.chain)
-        jacobian = self.chain.jacobian(joints_rad)
+        chain = self.chain.weighted(self.weights)
+        chart = Chart(chain)
+        jacobian = chain.jacobian(joints_rad)
         numbers = jacobian[0].size
         changes = np.zeros((len(joints_rad), numbers, len(self.unfitted)))
         for place, step in enumerate(_STEP * np.eye(chart.size - 1)):
@@ -188,12 +192,12 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
             f"joints at rest for {MAX_OFFSET_S:g} s before each image, or no stamp_s in a table"
         )
     if not plausible(data.ball_m):
-        raise ChainFitError(f"the {data.servoed.what} has a place above {LARGEST:g} m: metres?")
+        raise ChainFitError(f"the {data.kind.what} has a place above {LARGEST:g} m: metres?")
     if np.linalg.norm(data.ball_m.std(axis=0)) < 1e-3:
         raise ChainFitError(
-            f"the {data.servoed.what} does not move in the data set, so there is no chain to find"
+            f"the {data.kind.what} does not move in the data set, so there is no chain to find"
         )
-    fitting = _Fitting(path, data.ball_m[path.indices])
+    fitting = _Fitting(path, data.ball_m[path.indices], data.kind.weights)
     # Matrices of few columns: on a busy machine more threads took twenty times as long.
     with threadpool_limits(1):
         say("looking for the axes")
@@ -211,11 +215,11 @@ class _Found(NamedTuple):
 
 
 class _Fitting:
-    """One fit: the joints at any time, and the feature in k images, m, (k, m)."""
+    """One fit: the joints at any time, and the feature in k images, (k, m), with its weights."""
 
-    def __init__(self, path: Path, ball_m: np.ndarray) -> None:
-        self._path = path
-        self._ball = ball_m
+    def __init__(self, path: Path, features: np.ndarray, weights: np.ndarray) -> None:
+        self._path, self._weights = path, weights
+        self._ball = weights * features
 
     def start(self) -> _Found:
         """The best of some starts, each fitted to a part of the images."""
@@ -313,7 +317,8 @@ class _Fitting:
         inlier = inliers(residual, self._ball)
         covariance, unfitted = self._moments(found, weights, inlier)
         return ChainFit(
-            chain=found.chain,
+            chain=found.chain.weighted(1.0 / self._weights),
+            weights=self._weights,
             time_offset_s=found.offset_s,
             time_offset_deviation_s=float(np.sqrt(covariance[OFFSET, OFFSET])),
             residual_m=residual_m,

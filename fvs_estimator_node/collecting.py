@@ -16,9 +16,9 @@ import numpy as np
 
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.stopping import StopCriterion
-from fvs_ros.feature import ServoedConfig
 from fvs_ros.following import Following
 from fvs_ros.interface import CommandInterface
+from fvs_ros.kinds import KindConfig
 from fvs_ros.limits import JointLimits, tick_s
 from fvs_ros.params import parameter
 from fvs_ros.timeline import Sample, Timeline, repeats
@@ -38,7 +38,7 @@ GIVE_UP_S = 10.0
 
 
 @dataclass(frozen=True)
-class CollectorConfig(MotionConfig, ServoedConfig, CommandInterface):
+class CollectorConfig(MotionConfig, KindConfig, CommandInterface):
     """What is recorded, how the arm moves, and what ends it."""
 
     output_path: str = parameter("out/collect/dataset.npz", "data set file to write")
@@ -86,7 +86,7 @@ class CollectionRun:
 
     def __init__(self, config: CollectorConfig, stop: StopCriterion | None = None) -> None:
         self._config, self._names = config, config.joint_names
-        self._unseen = f"no {config.servoed.seen.name}"
+        self._unseen = f"no {config.kind.topics.tool.name}"
         self.stop = stop if stop is not None else StopCriterion(config.stop_at_error)
         self._motion: RandomMotion | None = None
         self._timeline = Timeline()
@@ -140,11 +140,11 @@ class CollectionRun:
                 self._following.restart()
         self._record(self._timeline.add_joints(stamp_s, joints_rad))
 
-    def ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
-        """Take a ball position: arrival on the steady clock and exposure stamp, s; (m,), m."""
+    def image(self, now_s: float, stamp_s: float, z: np.ndarray) -> None:
+        """Take a measurement, (m,): arrival on the steady clock and exposure stamp, s."""
         if not repeats(stamp_s, self._timeline.seen_stamp_s):
             self._ball_s = now_s
-            self._record(self._timeline.add_feature(stamp_s, position_m))
+            self._record(self._timeline.add_image(stamp_s, z))
 
     def configure(self, config: CollectorConfig) -> None:
         """Take limits that are known only now; a motion begins anew within them."""

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 from tqdm import tqdm
@@ -48,8 +47,8 @@ class CollectorNode(ros.FvsNode):
         self._commands = ros.CommandPublisher(self)
         self._joints: np.ndarray | None = None
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self._feature = config.servoed
-        self.subscribe(self._feature.seen, self._on_feature)
+        self._kind = config.kind
+        self.subscribe(self._kind.topics.tool, self._on_feature)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         ros.LimitsReader(self, self._take_limits, self._run.fail)
@@ -74,14 +73,14 @@ class CollectorNode(ros.FvsNode):
         self._run.joint_states(now_s, stamp_s, joints)
         self._ticker.on_joint_state(now_s, stamp_s)
 
-    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
-        feature, frame = self._feature, self._config.feature_frame
+    def _on_feature(self, message: Any) -> None:
+        kind, frame = self._kind, self._config.feature_frame
         try:
-            position_m = ros.from_feature(message, feature, frame, feature.seen.name)
+            z = ros.from_feature(message, kind, frame, kind.topics.tool.name)
         except ros.MessageError as error:
             self._run.fail(str(error))
             return
-        self._run.ball(self.now_s(), ros.from_stamp(message.header.stamp), position_m)
+        self._run.image(self.now_s(), ros.from_stamp(message.header.stamp), z)
 
     def _on_program_running(self, message: Bool) -> None:
         if not message.data:
@@ -128,7 +127,6 @@ class CollectorNode(ros.FvsNode):
             joint_names=tuple(self._names),
             feature_frame=self._config.feature_frame,
             feature=self._config.feature,
-            lever_arm_m=self._config.lever_arm_m,
             provenance={
                 "collected": datetime.now(timezone.utc).isoformat(timespec="seconds"),
                 "simulated_time": bool(self._simulated_time),

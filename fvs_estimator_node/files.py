@@ -8,7 +8,7 @@ import os
 import sys
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,13 +18,10 @@ import numpy as np
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
-from fvs_ros.feature import Feature, ServoedConfig
+from fvs_ros.kinds import KINDS, Kind, KindConfig, kind_of
 from fvs_ros.timeline import Sample
-from fvs_ros.topics import BALL, POSE
 from fvs_ros.vectors import check_arrays
 
-#: The models that come with the package, of the simulated UR5.
-MODELS = {BALL: "models/ur5_front.npz", POSE: "models/ur5_front_pose.npz"}
 _VERSION = 1
 #: Two hours at 200 Hz stay below this; a larger file is refused.
 _MAX_BYTES = 2**28
@@ -32,6 +29,8 @@ _MAX_BYTES = 2**28
 _LONGEST_ERROR, _MOST_NOTES, _LONGEST_NOTE = 800, 20, 500
 #: Ball positions of the training that are kept.
 _BALL_SAMPLES = 500
+#: Numbers that are further than this from any measurement of their kind are none.
+_NO_MEASUREMENT = 0.01
 
 _DATA_SET = {"stamps_s": ("k",), "joints_rad": ("k", "n"), "ball_m": ("k", "m"), "segment": ("k",)}
 _MODEL: dict[str, tuple[int | str, ...]] = {
@@ -50,26 +49,23 @@ class FileError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class _OfFeature:
-    """What was seen; see :class:`~fvs_ros.feature.ServoedConfig`."""
+    """What was measured: the name of a kind of feature."""
 
-    feature: str = BALL
-    lever_arm_m: float = ServoedConfig.lever_arm_m
+    feature: str = KindConfig.feature
 
     @property
-    def servoed(self) -> Feature:
-        """The feature."""
-        return ServoedConfig(feature=self.feature, lever_arm_m=self.lever_arm_m).servoed
+    def kind(self) -> Kind:
+        """The kind of feature, with the usual lever arm."""
+        return kind_of(self.feature)
 
-    def _check_feature(self, size: int) -> None:
-        """A ``ValueError`` if the feature is not one, or has not this number of components."""
-        expected = self.servoed.size
-        if self.feature == POSE and size != expected:
-            raise ValueError(f"a pose has {expected} numbers, got {size}")
-
-    def _scale_to(self, lever_arm_m: float) -> np.ndarray:
-        """Factors of a feature's numbers, (m,), for another lever arm, m."""
-        to = ServoedConfig(feature=self.feature, lever_arm_m=lever_arm_m).servoed
-        return to.scale / self.servoed.scale
+    def _check_numbers(self, values: np.ndarray) -> None:
+        """A ``ValueError`` if the rows of an array, (k, m), are no measurements of the kind."""
+        kind = self.kind
+        if values.shape[1] != kind.numbers:
+            raise ValueError(f"a {kind.name} has {kind.numbers} numbers, got {values.shape[1]}")
+        for z in values[:1]:
+            if np.abs(kind.nearest(z) - z).max() > _NO_MEASUREMENT:
+                raise ValueError(f"{np.round(z, 3).tolist()} is no {kind.name}")
 
 
 @dataclass(frozen=True)
@@ -83,7 +79,7 @@ class DataSet(_OfFeature):
     joints_rad : ndarray, shape (k, n)
         Joint positions at exposure, rad.
     ball_m : ndarray, shape (k, m)
-        Ball positions in the feature frame, m.
+        Measurements of the kind, such as ball positions in the feature frame, m.
     segment : ndarray of int, shape (k,)
         Number of the continuous run a sample belongs to; never falls.
     joint_names : tuple of str, optional
@@ -94,8 +90,8 @@ class DataSet(_OfFeature):
         Where it comes from; anything that JSON can hold.
     still : bool
         Whether the arm stood still at every image: still poses.
-    feature, lever_arm_m : str and float
-        What was seen, and its lever arm, m, as in :class:`~fvs_ros.feature.ServoedConfig`.
+    feature : str
+        The kind of what was measured.
 
     Raises
     ------
@@ -113,9 +109,8 @@ class DataSet(_OfFeature):
     still: bool = False
 
     def __post_init__(self) -> None:
-        lengths = check_arrays(self, _DATA_SET, {})
-        n = lengths["n"]
-        self._check_feature(lengths["m"])
+        n = check_arrays(self, _DATA_SET, {})["n"]
+        self._check_numbers(self.ball_m)
         names = tuple(self.joint_names) or tuple(f"joint_{i + 1}" for i in range(n))
         if len(names) != n:
             raise ValueError(f"{len(names)} joint names and {n} joints do not fit together")
@@ -130,13 +125,6 @@ class DataSet(_OfFeature):
 
     def __len__(self) -> int:
         return len(self.stamps_s)
-
-    def at_lever_arm(self, lever_arm_m: float) -> DataSet:
-        """The same with another lever arm, m."""
-        if self.feature != POSE or lever_arm_m == self.lever_arm_m:
-            return self
-        scale = self._scale_to(lever_arm_m)
-        return replace(self, ball_m=self.ball_m * scale, lever_arm_m=lever_arm_m)
 
     def runs(self) -> list[slice]:
         """The continuous runs, one after the other."""
@@ -174,7 +162,7 @@ class TrainedModel(_OfFeature):
         Where it comes from; anything that JSON can hold.
     chain : SerialChain, optional
         The chain fitted to the same data, for the method ``poe``.
-    feature, lever_arm_m : str and float
+    feature : str
         As of the data set.
 
     Raises
@@ -203,26 +191,11 @@ class TrainedModel(_OfFeature):
                 "joints do not fit together"
             )
         check_arrays(self, _MODEL, {"n": n, "m": m})
-        self._check_feature(m)
+        self._check_numbers(self.ball_samples_m)
         for name in ("joint_box_rad", "ball_box_m"):
             low, high = getattr(self, name)
             if np.any(low > high):
                 raise ValueError(f"{name} has a least value above the greatest")
-
-    def at_lever_arm(self, lever_arm_m: float) -> TrainedModel:
-        """The same with another lever arm, m."""
-        if self.feature != POSE or lever_arm_m == self.lever_arm_m:
-            return self
-        scale = self._scale_to(lever_arm_m)
-        networks, chain = self.model, self.chain
-        return replace(
-            self,
-            model=replace(networks, weights=networks.weights * scale[:, None]),
-            ball_box_m=self.ball_box_m * scale,
-            ball_samples_m=self.ball_samples_m * scale,
-            chain=None if chain is None else replace(chain, feature_m=chain.feature_m * scale),
-            lever_arm_m=lever_arm_m,
-        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -265,7 +238,7 @@ def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
 def load_data_set(
     path: str | os.PathLike[str],
     joint_names: Sequence[str] | None = None,
-    servoed: ServoedConfig | None = None,
+    expected: KindConfig | None = None,
 ) -> DataSet:
     """Read and check a data set.
 
@@ -275,8 +248,8 @@ def load_data_set(
         The file.
     joint_names : sequence of str, optional
         The joint order it must have; None takes any.
-    servoed : ServoedConfig, optional
-        The feature it must be of, and its frame; None takes any.
+    expected : KindConfig, optional
+        The kind of feature it must be of, and its frame; None takes any.
 
     Raises
     ------
@@ -292,13 +265,13 @@ def load_data_set(
             still="still" in content and bool(content["still"].any()),
         )
 
-    return _read(path, "fvs_dataset", joint_names, servoed, build)
+    return _read(path, "fvs_dataset", joint_names, expected, build)
 
 
 def load_model(
     path: str | os.PathLike[str],
     joint_names: Sequence[str] | None = None,
-    servoed: ServoedConfig | None = None,
+    expected: KindConfig | None = None,
 ) -> TrainedModel:
     """Read and check a model; parameters and errors are those of :func:`load_data_set`."""
 
@@ -315,7 +288,7 @@ def load_model(
             chain=chain,
         )
 
-    return _read(path, "fvs_rbf_model", joint_names, servoed, build)
+    return _read(path, "fvs_rbf_model", joint_names, expected, build)
 
 
 def _write(path: str | os.PathLike[str], kind: str, fields: Mapping[str, Any]) -> None:
@@ -344,15 +317,14 @@ def _read(
     path: str | os.PathLike[str],
     kind: str,
     joint_names: Sequence[str] | None,
-    servoed: ServoedConfig | None,
+    expected: KindConfig | None,
     build: Callable[[_Content], _T],
 ) -> _T:
     """Check a file's kind, joints and frame, and build an object from its content."""
     try:
         content = _Content(_arrays(Path(path)))
-        content.check(kind, joint_names, servoed)
-        found = build(content)
-        return found if servoed is None else found.at_lever_arm(servoed.lever_arm_m)
+        content.check(kind, joint_names, expected)
+        return build(content)
     except FileNotFoundError:
         words = "does not exist"
     except OSError as error:
@@ -403,7 +375,7 @@ class _Content(dict[str, Any]):
         raise ValueError(f"lacks the field {name!r}; it holds {found}")
 
     def check(
-        self, kind: str, joint_names: Sequence[str] | None, servoed: ServoedConfig | None
+        self, kind: str, joint_names: Sequence[str] | None, expected: KindConfig | None
     ) -> None:
         """Check format, version, joints and feature; None takes any."""
         if self.text("format") != kind:
@@ -416,20 +388,19 @@ class _Content(dict[str, Any]):
             raise ValueError(f"names the joints {list(names)}, expected different names")
         if joint_names is not None and names != tuple(joint_names):
             raise ValueError(f"joint order {list(names)}, expected {list(joint_names)}")
-        feature, lever_arm_m = BALL, ServoedConfig.lever_arm_m
-        if "feature" in self:  # else it is of a ball
-            feature, lever_arm_m = self.text("feature"), self.number("lever_arm_m")
-        found = ServoedConfig(frame, feature, lever_arm_m)
-        if servoed is not None:
-            self._check_feature(found, servoed)
-        self.common: dict[str, Any] = {"joint_names": names, **vars(found)}
-
-    def _check_feature(self, found: ServoedConfig, expected: ServoedConfig) -> None:
-        frame = expected.feature_frame
-        if found.feature_frame != frame:
-            raise ValueError(f"positions in the frame {found.feature_frame!r}, expected {frame!r}")
-        if found.feature != expected.feature:
-            raise ValueError(f"made for feature {found.feature}, expected {expected.feature}")
+        feature = self.text("feature") if "feature" in self else KindConfig.feature
+        if feature not in KINDS:
+            raise ValueError(f"made for feature {feature!r}, expected {', '.join(KINDS)}")
+        if expected is not None and frame != expected.feature_frame:
+            right = expected.feature_frame
+            raise ValueError(f"positions in the frame {frame!r}, expected {right!r}")
+        if expected is not None and feature != expected.feature:
+            raise ValueError(f"made for feature {feature}, expected {expected.feature}")
+        self.common: dict[str, Any] = {
+            "joint_names": names,
+            "feature_frame": frame,
+            "feature": feature,
+        }
 
     def texts(self, name: str, dimensions: int = 1) -> tuple[str, ...]:
         """A list of texts, or a single one without dimensions."""
@@ -441,13 +412,6 @@ class _Content(dict[str, Any]):
     def text(self, name: str) -> str:
         """A text."""
         return self.texts(name, 0)[0]
-
-    def number(self, name: str) -> float:
-        """A number."""
-        value = self[name]
-        if value.ndim != 0 or value.dtype.kind not in "iuf":
-            raise ValueError(f"has a field {name!r} that is not a number")
-        return float(value)
 
     def json(self, name: str) -> dict[str, Any]:
         """A text that holds a JSON object."""

@@ -311,7 +311,7 @@ class _Calibrating:
         pulls = np.einsum("kmi,km->ki", rows, rest)
         noise, shared = self._noise(exact, square, pulls, self._model.path.stamps_s[good])
         # Of few images the unknowns take a part of the noise.
-        numbers = len(rest) * len(self._data.servoed.task_scale)
+        numbers = len(rest) * self._data.kind.size
         spare = numbers - float(np.trace(np.linalg.solve(weak, square)))
         noise = max(1.0, noise * numbers / max(spare, 1.0))
         tried = [_Sizes(*some) for some in product(*_TRIED.values())]

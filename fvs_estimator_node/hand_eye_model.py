@@ -19,8 +19,7 @@ from fvs_estimator_node.chain_fit import ChainFit
 from fvs_estimator_node.chain_start import Path
 from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain, cross_matrix
-from fvs_ros.feature import PoseFeature
-from fvs_ros.rotations import rotation_from_vector
+from fvs_ros.rotations import nearest_rotation, rotation_from_vector
 from fvs_ros.urdf import Kinematics
 
 #: Sine of the angle below which two axes are parallel.
@@ -59,11 +58,11 @@ class HandEyeModel:
     """
 
     def __init__(self, data: DataSet, arm: Kinematics, fit: ChainFit) -> None:
-        self.arm, self.path, self._feature = arm, Path(data), data.servoed
-        #: Where the images show the feature, m, (k, m), and the middle, (3,).
-        self.seen = data.ball_m[self.path.indices]
+        self.arm, self.path, self._kind = arm, Path(data), data.kind
+        #: Where the images show the feature, weighted, m, (k, m), and the middle, (3,).
+        self.seen = data.kind.weights * data.ball_m[self.path.indices]
         self.middle = self.seen[:, :3].mean(axis=0)
-        n, delay = len(arm.names), 6 + len(self._feature.task_scale)
+        n, delay = len(arm.names), 6 + self._kind.size
         zeros = slice(delay + 4, delay + 4 + max(0, n - 2))
         encoders = slice(zeros.stop, zeros.stop + n)
         links = slice(encoders.stop, encoders.stop + 6 * (n - 1))
@@ -75,14 +74,12 @@ class HandEyeModel:
         self._reference = fit.chain.reference_rad
         self._points, self._axes = arm.at(self._reference)
         self._rotation, self._shift = self._registered(fit)
-        carried = fit.chain.feature_m.reshape(-1, 3) @ self._rotation
+        weighted = fit.weights * fit.chain.feature_m
+        carried = weighted.reshape(-1, 3) @ self._rotation
         carried[0] -= self._shift @ self._rotation
         self._carried = carried.ravel()
+        self._is_tag = not self._kind.flat
         self._of_lens = tag_by_lens(self.seen) if self._is_tag else None
-
-    @property
-    def _is_tag(self) -> bool:
-        return isinstance(self._feature, PoseFeature)
 
     def _registered(self, fit: ChainFit) -> tuple[np.ndarray, np.ndarray]:
         """Turn and shift, m, that take the URDF's axes to those that the camera saw."""
@@ -187,13 +184,14 @@ class HandEyeModel:
         turn, tip_m = self.arm.tip_at(self._reference)
         carried = self._feature_on_arm(values)
         place_m = turn @ (carried[:3] - tip_m)
-        if not isinstance(self._feature, PoseFeature):
+        if not self._is_tag:
             return place_m, None
-        return place_m, turn @ self._feature.rotation(carried)
+        axes = carried[3:].reshape(3, 3)
+        return place_m, turn @ nearest_rotation(axes.T)
 
     def _feature_on_arm(self, values: np.ndarray) -> np.ndarray:
-        step = values[self.at.carried] * self._feature.task_scale
-        return self._feature.displaced(self._carried, step)
+        weights, step_m = self._kind.weights, values[self.at.carried] * self._kind.unit
+        return weights * self._kind.retract(self._carried / weights, step_m)
 
     def _chain(self, values: np.ndarray) -> tuple[SerialChain, np.ndarray]:
         """The arm in the camera's frame, and the twists by camera, carried and links."""

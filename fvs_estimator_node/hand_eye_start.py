@@ -26,12 +26,14 @@ def still_fit(data: DataSet, arm: Kinematics) -> ChainFit:
             "minute"
         )
     chain = registered(data, arm)
-    off_m = chain.position(data.joints_rad) - data.ball_m
+    weights = data.kind.weights
+    off_m = weights * (chain.position(data.joints_rad) - data.ball_m)
     residual_m = float(np.median(np.linalg.norm(off_m[:, :3], axis=1)))
     ray_noise_m, lateral_noise_m = noise_by_direction(off_m[:, :3], data.ball_m)
     coordinates = Chart(chain).size
     return ChainFit(
         chain=chain,
+        weights=weights,
         time_offset_s=0.0,
         time_offset_deviation_s=np.inf,
         residual_m=residual_m,

@@ -11,15 +11,16 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
+from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from fvs_estimator_node.base import Estimator, OracleEstimator
-from fvs_estimator_node.files import MODELS, load_model
-from fvs_estimator_node.loop import FRESH_S, EstimationLoop
+from fvs_estimator_node.files import load_model
+from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator, needs_model
+from fvs_estimator_node.steps import FRESH_S
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.paths import find_file
@@ -39,7 +40,7 @@ class EstimatorNode(ros.FvsNode):
         super().__init__("fvs_estimator_node", PARAMETERS, **place)
         v = self.values
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
-        self._feature = EstimatorConfig.from_values(v).servoed
+        self._kind = EstimatorConfig.from_values(v).kind
         self._hears_truth = False
         self._frozen = False
         self._program_running, self._speed_scaling = True, 100.0
@@ -52,8 +53,8 @@ class EstimatorNode(ros.FvsNode):
         self._jacobian = self.publisher(topics.JACOBIAN)
         self._chain = self.publisher(topics.KINEMATIC_CHAIN)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self.subscribe(self._feature.seen, self._on_feature)
-        self.subscribe(self._feature.sliding, self._on_sliding)
+        self.subscribe(self._kind.topics.tool, self._on_feature)
+        self.subscribe(self._kind.topics.sliding, self._on_sliding)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -64,7 +65,7 @@ class EstimatorNode(ros.FvsNode):
     def _use(self, v: dict[str, Any]) -> None:
         """Start the method that the values name, from the trained model alone."""
         config = EstimatorConfig.from_values(v)
-        self._loop = EstimationLoop(self._make_estimator(config, v), self._feature)
+        self._loop = EstimationLoop(self._make_estimator(config, v))
         self._config = config
         if isinstance(self._loop.estimator, OracleEstimator) and not self._hears_truth:
             self._hears_truth = True
@@ -75,7 +76,7 @@ class EstimatorNode(ros.FvsNode):
         if values["method"] == self._config.method:
             return
         # The controller publishes the sliding variable only while it servoes, after every image.
-        if self.monitor(self._feature.sliding.name).age_s(self.now_s()) < FRESH_S:
+        if self.monitor(self._kind.topics.sliding.name).age_s(self.now_s()) < FRESH_S:
             raise ValueError(
                 "the method changes only while the controller does not servo; call its ~/stop first"
             )
@@ -83,16 +84,16 @@ class EstimatorNode(ros.FvsNode):
 
     def _make_estimator(self, config: EstimatorConfig, v: dict[str, Any]) -> Estimator:
         if not needs_model(config.method, v):
-            return create_estimator(config.method, None, v, features=self._feature.size)
+            return create_estimator(config.method, None, v, kind=self._kind)
         try:
-            path = find_file(config.model_path or MODELS[config.feature])
+            path = find_file(config.model_path or self._kind.model)
         except FileNotFoundError as error:
             raise ValueError(f"model_path: {error}; train one with fvs_train") from error
         trained = load_model(path, v["joint_names"], config)
         self._joint_map.middle_rad = trained.joint_box_rad.mean(axis=0)
         for note in trained.notes:
             self.tell(ros.WARN, f"{path.name}: {note}")
-        return create_estimator(config.method, trained.model, v, trained.chain)
+        return create_estimator(config.method, trained.model, v, trained.chain, self._kind)
 
     # --- inputs ---
 
@@ -106,27 +107,28 @@ class EstimatorNode(ros.FvsNode):
                 self._complain(str(error))
             return
         except JointStateError as error:
+            self._loop.lose_joints()
             self._complain(str(error))
             return
         self._joints_s, self._stamp_s = self.now_s(), stamp_s
         self._learn(self._loop.add_joints, stamp_s, joints)
         self._publish_jacobian(stamp_s, joints)
 
-    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
-        feature, frame = self._feature, self._config.feature_frame
+    def _on_feature(self, message: Any) -> None:
+        kind, frame = self._kind, self._config.feature_frame
         try:
-            feature_m = ros.from_feature(message, feature, frame, feature.seen.name)
+            z = ros.from_feature(message, kind, frame, kind.topics.tool.name)
         except ros.MessageError as error:
             self._complain(str(error))
             return
-        self._learn(self._loop.add_feature, ros.from_stamp(message.header.stamp), feature_m)
+        self._learn(self._loop.add_image, ros.from_stamp(message.header.stamp), z)
 
     def _on_sliding(self, message: Vector3Stamped | Float64MultiArray) -> None:
         stamp_s = self._stamp_s  # a vector of a pose has none of its own
         if isinstance(message, Vector3Stamped):
             stamp_s = ros.from_stamp(message.header.stamp)
         try:
-            sliding = ros.from_sliding(message, self._feature)
+            sliding = ros.from_sliding(message, self._kind)
         except ros.MessageError as error:
             self._complain(str(error))
             return
@@ -134,11 +136,11 @@ class EstimatorNode(ros.FvsNode):
             self._loop.add_sliding_variable(stamp_s, sliding)
 
     def _on_truth(self, message: Float64MultiArray) -> None:
-        if not isinstance(self._loop.estimator, OracleEstimator):
+        estimator, count = self._loop.estimator, len(self._joint_map.names)
+        if not isinstance(estimator, OracleEstimator):
             return  # no longer
         try:
-            count = len(self._joint_map.names)
-            self._loop.set_true_jacobian(ros.from_jacobian(message, count, self._feature))
+            estimator.set_true_jacobian(ros.from_jacobian(message, count, self._kind))
         except ros.MessageError as error:
             self._complain(f"{topics.TRUE_JACOBIAN.name}: {error}")
 
@@ -181,7 +183,7 @@ class EstimatorNode(ros.FvsNode):
             self._complain("the estimate is not finite and was not published; call ~/reset")
             return
         self._published_stamp_s = stamp_s
-        self._jacobian.publish(ros.to_jacobian(jacobian, self._feature))
+        self._jacobian.publish(ros.to_jacobian(jacobian, self._kind))
 
     def _publish_chain(self) -> None:
         """Publish the chain as the camera sees it now, if there is one."""
@@ -189,7 +191,7 @@ class EstimatorNode(ros.FvsNode):
         if chain is None:
             return
         try:
-            self._chain.publish(ros.to_chain(chain, self._feature))
+            self._chain.publish(ros.to_chain(chain))
         except ValueError as error:
             self._complain(f"the chain was not published: {error}; call ~/reset")
 
@@ -230,11 +232,14 @@ class EstimatorNode(ros.FvsNode):
         state = "LEARNING" if learns else "FROZEN"
         return ros.OK, state, f"estimating; {usual}"
 
+    def _feature_age_s(self, now_s: float) -> float:
+        return self.monitor(self._kind.topics.tool.name).age_s(now_s)
+
     def _late_input(self, now_s: float) -> str:
         """Which input is late, in words; empty if none."""
         ages_s = {
             topics.JOINT_STATES.name: now_s - self._joints_s,
-            self._feature.seen.name: self.monitor(self._feature.seen.name).age_s(now_s),
+            self._kind.topics.tool.name: self._feature_age_s(now_s),
         }
         for topic, age_s in ages_s.items():
             if age_s > FRESH_S:
@@ -244,7 +249,7 @@ class EstimatorNode(ros.FvsNode):
 
     def _publish_status(self) -> None:
         self._publish_chain()  # a node that has just started learns of it soon
-        now_s, seen = self.now_s(), self._feature.seen.name
+        now_s = self.now_s()
         level, state, reason = self._state()
         self.publish_status(
             level,
@@ -253,7 +258,7 @@ class EstimatorNode(ros.FvsNode):
             {
                 "method": self._config.method,
                 "joint_states_age_s": now_s - self._joints_s,
-                f"{seen}_age_s": self.monitor(seen).age_s(now_s),
+                f"{self._kind.topics.tool.name}_age_s": self._feature_age_s(now_s),
                 **self._loop.status_values(),
             },
         )

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fvs_estimator_node.base import NETWORKS, Estimator, MotionStep
-from fvs_estimator_node.rbf import RbfModel
+from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
+from fvs_ros.kinds import Kind
 from fvs_ros.params import Parameters, parameter
 
 FROM_MODEL, FROM_ZERO = "model", "zero"
@@ -91,9 +92,15 @@ class OnlineEstimator(Estimator):
     group = "online"
     made_from = NETWORKS
 
-    def __init__(self, model: RbfModel | None = None, config: OnlineConfig | None = None) -> None:
+    def __init__(
+        self,
+        model: RbfModel | None = None,
+        config: OnlineConfig | None = None,
+        kind: Kind | None = None,
+    ) -> None:
+        super().__init__(kind)
         self.config = config if config is not None else OnlineConfig()
-        self._model = model
+        self._model = FrozenRbfEstimator(model, None, self.kind) if model is not None else None
         self.reset()
 
     def reset(self) -> None:
@@ -103,15 +110,15 @@ class OnlineEstimator(Estimator):
         self._initial: np.ndarray | None = None
         self.covariance = np.zeros((0, 0))  # of the estimate, (m/rad)^2; empty without one
 
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Present estimate, m/rad, shape (m, n), the same for all joints once it has begun."""
-        return self._present(joints_rad).copy()
+    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
+        """Present estimate, m/rad, shape (d, n), the same for all joints once it has begun."""
+        return self._present(joints_rad, z).copy()
 
-    def _present(self, joints_rad: np.ndarray) -> np.ndarray:
+    def _present(self, joints_rad: np.ndarray, z: np.ndarray | None) -> np.ndarray:
         if self._jacobian is None:
-            start = np.zeros((self.features, len(joints_rad)))
+            start = np.zeros((self.kind.size, len(joints_rad)))
             if self._model is not None:
-                start = self._model.jacobian(joints_rad)
+                start = self._model.jacobian(joints_rad, z)
             if self.config.initial == FROM_ZERO:
                 start = np.zeros_like(start)
             if not np.all(np.isfinite(start)):
@@ -132,7 +139,7 @@ class OnlineEstimator(Estimator):
 
     def _try(self, step: MotionStep) -> tuple[np.ndarray, np.ndarray] | None:
         """Jacobian and covariance after a step; None if it must not be learned from."""
-        before = self._present(step.joints_rad)
+        before = self._present(step.joints_rad, step.z)
         if self._jacobian is None:  # the networks give no number there
             return None
         try:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.base import NETWORKS, Estimator, MotionStep
+from fvs_ros.kinds import Kind
 from fvs_ros.params import Parameters, parameter
 from fvs_ros.vectors import check_arrays
 
@@ -29,7 +30,7 @@ class RbfModel:
     widths : ndarray, shape (n, k)
         delta_it, rad, positive.
     weights : ndarray, shape (n, m, k)
-        W_i, m/rad, of m coordinates.
+        W_i, per rad, of the m numbers of the feature.
 
     Raises
     ------
@@ -58,7 +59,7 @@ class RbfModel:
         return rbf_features(self.centres, self.widths, joints_rad)
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Columns J_i = W_i theta_i, eq (9), m/rad, shape (..., m, n), at joints, rad, (..., n)."""
+        """Columns J_i = W_i theta_i, eq (9), per rad, (..., m, n), at joints, rad, (..., n)."""
         return np.einsum("ijk,...ik->...ji", self.weights, self.features(joints_rad))
 
 
@@ -126,21 +127,24 @@ class FrozenRbfEstimator(Estimator):
         The trained networks.
     config : optional
         Settings, of an estimator that has some.
+    kind : Kind, optional
+        Of the numbers that the networks predict; a ball by default.
     """
 
     learns = False
     made_from = NETWORKS
 
-    def __init__(self, model: RbfModel, config: Any = None) -> None:
+    def __init__(self, model: RbfModel, config: Any = None, kind: Kind | None = None) -> None:
+        super().__init__(kind)
         self.config: Any = config if config is not None else self.config_type()
-        self.model = model
+        self.model, self._rest = model, model.weights * self.kind.weights[:, None]
         self._offset, self._slope, self._curvature = _exponent_terms(model.centres, model.widths)
         self._theta, self._scratch = np.empty((2, self._offset.size))
         self.reset()
 
     @property
     def weights(self) -> np.ndarray:
-        """Present weights, m/rad, shape (n, m, k); a copy."""
+        """Present weights of the weighted numbers, m/rad, shape (n, m, k); a copy."""
         return self._weights.copy()
 
     def _evaluate(self, joints_rad: np.ndarray) -> np.ndarray:
@@ -153,15 +157,16 @@ class FrozenRbfEstimator(Estimator):
         np.exp(theta, out=theta)
         return theta.reshape(self.model.widths.shape)
 
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Estimate at given joints, m/rad, shape (m, n)."""
+    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
+        """Estimate at joints, rad, (n,), and the feature there, (m,): m/rad, shape (d, n)."""
         theta = self._evaluate(np.asarray(joints_rad, dtype=float))
-        return np.matmul(self._weights, theta[:, :, None])[:, :, 0].T.copy()
+        columns = np.matmul(self._weights, theta[:, :, None])[:, :, 0].T.copy()
+        return columns if z is None else self.kind.to_tangent(z, columns)
 
     def reset(self) -> None:
         """Return to the trained weights and forget the counts."""
         super().reset()
-        self._weights = self.model.weights.copy()
+        self._weights = self._rest.copy()
 
 
 class RbfEstimator(FrozenRbfEstimator):
@@ -184,16 +189,18 @@ class RbfEstimator(FrozenRbfEstimator):
             velocity = step.joint_velocity
             theta = self._evaluate(step.joints_rad)
             columns = np.matmul(self._weights, theta[:, :, None])[:, :, 0]
-            error = step.feature_velocity - velocity @ columns
+            predicted = self.kind.to_tangent(step.z, velocity @ columns)
             regressor = velocity[:, None] * theta
             energy = step.dt_s * float(np.vdot(regressor, regressor))
             share = 1.0
             if config.n1 * energy > config.mu:
                 share = config.mu / (config.n1 * energy)
+            error = step.feature_velocity - predicted
             drive = share * step.dt_s * (config.n1 * error + config.alpha2 * step.sliding_variable)
+            drive = self.kind.from_tangent(step.z, drive)
             weights = self._weights + drive[None, :, None] * regressor[:, None, :]
             if config.k3 > 0.0:
-                rest = 0.0 if config.leak_target == "zero" else self.model.weights
+                rest = 0.0 if config.leak_target == "zero" else self._rest
                 weights -= -math.expm1(-config.k3 * step.dt_s) * (self._weights - rest)
         if not (step.dt_s > 0.0 and math.isfinite(np.vdot(weights, weights))):
             self.refused += 1
@@ -203,5 +210,5 @@ class RbfEstimator(FrozenRbfEstimator):
 
     def status_values(self) -> dict[str, float]:
         """Counts, and how far the weights are from the trained ones (Frobenius norm), m/rad."""
-        change = float(np.linalg.norm(self._weights - self.model.weights))
+        change = float(np.linalg.norm(self._weights - self._rest))
         return {**super().status_values(), "weight_change_m_rad": change}

@@ -17,8 +17,8 @@ from fvs_estimator_node.online import (
 )
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator, RbfModel
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import ServoedConfig
 from fvs_ros.joints import JOINT_PARAMETERS
+from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.params import Parameter, parameter
 
 ESTIMATORS: dict[str, type[Any]] = {
@@ -35,7 +35,7 @@ ESTIMATORS: dict[str, type[Any]] = {
 
 
 @dataclass(frozen=True)
-class EstimatorConfig(ServoedConfig):
+class EstimatorConfig(KindConfig):
     """Parameters of the node; those of the methods are the estimators'."""
 
     method: str = parameter(
@@ -51,18 +51,18 @@ class EstimatorConfig(ServoedConfig):
     )
 
 
-def _kind_and_config(method: str, values: Mapping[str, Any]) -> tuple[type[Any], Any]:
+def _class_and_config(method: str, values: Mapping[str, Any]) -> tuple[type[Any], Any]:
     if method not in ESTIMATORS:
         known = ", ".join(sorted(ESTIMATORS))
         raise ValueError(f"unknown estimator method {method!r}; known are {known}")
-    kind = ESTIMATORS[method]
-    return kind, kind.config_type.from_values(values, f"{kind.group}.")
+    made_by = ESTIMATORS[method]
+    return made_by, made_by.config_type.from_values(values, f"{made_by.group}.")
 
 
 def needs_model(method: str, values: Mapping[str, Any]) -> bool:
     """Whether a method cannot do without a trained model, given the parameter values."""
-    kind, config = _kind_and_config(method, values)
-    return bool(kind.made_from) and getattr(config, "initial", "") != FROM_ZERO
+    made_by, config = _class_and_config(method, values)
+    return bool(made_by.made_from) and getattr(config, "initial", "") != FROM_ZERO
 
 
 def create_estimator(
@@ -70,7 +70,7 @@ def create_estimator(
     model: RbfModel | None = None,
     values: Mapping[str, Any] | None = None,
     chain: SerialChain | None = None,
-    features: int = 3,
+    kind: Kind | None = None,
 ) -> Estimator:
     """Make an estimator.
 
@@ -84,25 +84,24 @@ def create_estimator(
         Parameter values by name; those of other methods are ignored.
     chain : SerialChain, optional
         The fitted chain, for methods that need it.
-    features : int
-        Length m of the feature, for methods that begin without a model.
+    kind : Kind, optional
+        The kind of feature; a ball by default.
 
     Raises
     ------
     ValueError
         If the method is unknown, lacks its model, or a value is out of range.
     """
-    kind, config = _kind_and_config(method, values or {})
-    source = {CHAIN: chain, NETWORKS: model}.get(kind.made_from)
+    made_by, config = _class_and_config(method, values or {})
+    source = {CHAIN: chain, NETWORKS: model}.get(made_by.made_from)
     if source is None and needs_model(method, values or {}):
-        by = "fvs_train --method poe" if kind.made_from == CHAIN else "fvs_train"
+        by = "fvs_train --method poe" if made_by.made_from == CHAIN else "fvs_train"
         raise ValueError(
-            f"estimator method {method} needs {kind.made_from}: set model_path to a file that "
+            f"estimator method {method} needs {made_by.made_from}: set model_path to a file that "
             f"{by} has written"
         )
-    made: Estimator = kind(source, config)
-    made.features = features
-    return made
+    estimator: Estimator = made_by(source, config, kind)
+    return estimator
 
 
 #: Parameters of the methods, each group once, in the order of the registry.

@@ -21,7 +21,6 @@ from fvs_estimator_node.files import DataSet, TrainedModel, boxes_of
 from fvs_estimator_node.pairs import Pairs, Progress, TrainingError, ridge_weights
 from fvs_estimator_node.rbf import RbfModel, rbf_features
 from fvs_ros.chain import SerialChain
-from fvs_ros.topics import BALL, POSE
 
 #: Each method with its usual number of neurons, which cost little where samples are free.
 METHODS = {"varpro": 50, "ridge": 50, "poe": 100}
@@ -31,11 +30,9 @@ _SAMPLES, _JUDGED = 80, 1000
 #: data: the least error of some tried.
 _WIDTH_FACTOR, _BEYOND = 4.0, 1.1
 #: Limits above which a note is shown: relative deviation of the Jacobian (median over the box);
-#: noise, m (no depth camera is that bad); share of outliers (a tag's noise depends on the view, so
-#: that more of its images are far from the chain); offset of the stamps, s; share of the motion
-#: that the networks miss.
+#: noise, m (no depth camera is that bad); offset of the stamps, s; share of the motion that the
+#: networks miss.
 _NOTABLE_DEVIATION, _NOTABLE_NOISE_M = 0.01, 0.01
-_NOTABLE_OUTLIERS = {BALL: 0.01, POSE: 0.05}
 _NOTABLE_OFFSET_S, _NOTABLE_ERROR = 0.003, 0.15
 
 
@@ -116,7 +113,6 @@ def train(
         joint_names=data.joint_names,
         feature_frame=data.feature_frame,
         feature=data.feature,
-        lever_arm_m=data.lever_arm_m,
         errors=errors,
         provenance={**came_from, "data": dict(data.provenance), "notes": notes},
         chain=fit.chain if fit is not None and not why else None,
@@ -129,7 +125,7 @@ def _fitted(
     """The chain's fit, or why there is none; a ``ValueError`` if one is needed."""
     try:
         fit = fit_chain(data, say)
-        carried = data.servoed.nearest(fit.chain.feature_m)  # it was fitted number by number
+        carried = data.kind.nearest(fit.chain.feature_m)  # it was fitted number by number
         return replace(fit, chain=replace(fit.chain, feature_m=carried)), ""
     except ValueError as error:  # also of numpy's linear algebra
         if needed:
@@ -147,7 +143,8 @@ def _networks(
 ) -> tuple[RbfModel, dict[str, Any], dict[str, Any]]:
     """The networks, the boxes that they were trained in, and the figures of their training."""
     poe = options.method == "poe"
-    pairs = None if poe else Pairs(data.joints_rad, data.ball_m, rng)
+    weights = data.kind.weights
+    pairs = None if poe else Pairs(data.joints_rad, weights * data.ball_m, rng)
     if say is not None:
         say("training the networks")
     if pairs is None:
@@ -156,7 +153,8 @@ def _networks(
         return distil(fit.chain, boxes["joint_box_rad"], options.count, rng), boxes, {}
     pairs.joints = _joints_seen(data, fit.time_offset_s if fit is not None else 0.0)
     iterations = options.iterations if options.method == "varpro" else 0
-    model, good, errors = pairs.train(options.count, iterations, progress)
+    weighted, good, errors = pairs.train(options.count, iterations, progress)
+    model = replace(weighted, weights=weighted.weights / weights[:, None])
     return model, boxes_of(pairs.joints[good], data.ball_m[good], rng), errors
 
 
@@ -198,8 +196,9 @@ def _joints_seen(data: DataSet, offset_s: float) -> np.ndarray:
 
 def _figures(fit: ChainFit, model: RbfModel, places: np.ndarray) -> dict[str, Any]:
     """Figures of a fit for the model file, without unknown ones (a model file holds no NaN)."""
-    truth = fit.chain.jacobian(places)
-    error = np.linalg.norm(model.jacobian(places) - truth, axis=(1, 2))
+    weights = fit.weights[:, None]
+    truth = weights * fit.chain.jacobian(places)
+    error = np.linalg.norm(weights * model.jacobian(places) - truth, axis=(1, 2))
     names = ("misfit", "residual_m", "noise_m", "ray_noise_m", "lateral_noise_m", "time_offset_s")
     counts = ("time_offset_deviation_s", "outliers", "samples")
     found = {name: getattr(fit, name) for name in (*names, *counts)}
@@ -259,7 +258,7 @@ def _notes(data: DataSet, errors: dict[str, Any], faults: list[str]) -> list[str
         if _NOTABLE_OFFSET_S < abs(offset_s) < 0.99 * MAX_OFFSET_S
         else "",
         f"{outliers} of {samples} images do not fit and were left out"
-        if outliers > _NOTABLE_OUTLIERS[data.feature] * samples
+        if outliers > data.kind.outliers * samples
         else "",
         f"the networks miss {100.0 * missed:.0f} % of the ball's motion; collect longer or in a "
         "wider box, with one robot and one detector publishing"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fvs_controller_node.config import default_values
-from fvs_estimator_node.loop import StepPairing
+from fvs_estimator_node.steps import StepPairing
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab import trials

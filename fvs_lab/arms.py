@@ -53,21 +53,19 @@ def _described(arm: str, values: Parameters) -> dict[str, Any]:
 def collect(simulation: Simulation, config: CollectorConfig) -> DataSet:
     """Move an arm as the collector does, from where it begins, and keep what is seen."""
     simulation.reset(None, config.seed)
-    feature, run = config.servoed, CollectionRun(config)
+    run = CollectionRun(config)
     period_s = 1.0 / simulation.config.joint_state_rate_hz
     while not run.ended:
         out = simulation.advance()
         for seen in out.observations:
-            vector_m = seen.feature_m(feature)
-            if vector_m is not None:
-                run.ball(out.time_s, seen.stamp_s, vector_m)
+            if seen.z is not None:
+                run.image(out.time_s, seen.stamp_s, seen.z)
         run.joint_states(out.time_s, out.time_s, out.joints_rad)
         simulation.command(run.tick(out.time_s, period_s))
     return data_set_of(
         run.samples,
         joint_names=simulation.world.joint_names,
         feature=config.feature,
-        lever_arm_m=config.lever_arm_m,
     )
 
 

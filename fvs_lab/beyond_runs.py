@@ -75,8 +75,8 @@ def record(seed: int, duration_s: float, conditions: trials.Conditions) -> tuple
         joints = out.joints_rad
         samples += matcher.add_joints(out.time_s, joints)
         for seen in out.observations:
-            if seen.detection is not None:
-                samples += matcher.add_feature(seen.stamp_s + late_s, seen.detection.position_m)
+            if seen.z is not None:
+                samples += matcher.add_image(seen.stamp_s + late_s, seen.z)
     return data_set_of(samples), late_s
 
 

@@ -25,9 +25,9 @@ from fvs_lab.arms import collect, collected
 from fvs_lab.results import Results
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import PoseFeature
+from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
-from fvs_ros.topics import BALL, POSE
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_sim_node.robot import ROBOTS, robot_of
 from fvs_sim_node.simulation import Simulation
@@ -152,7 +152,7 @@ def elsewhere(task: tuple[str, int]) -> dict[str, Any]:
         simulation, data = collected(name, MOTION_S, seed)
     else:
         kin, simulation = arm(), simulation_of(OTHERS[name])
-        data = collect(simulation, _asked(BALL, seed))
+        data = collect(simulation, _asked(Ball.name, seed))
     found = calibrate(data, kin)
     off = errors(simulation, np.zeros(1), found.rotation, found.translation_m)
     return _row(off, scheme=name, part="elsewhere", seed=seed, inside=_inside(found, off))
@@ -166,7 +166,7 @@ def _first(data: DataSet, duration_s: float) -> DataSet:
 
 def by_solvers(seed: int) -> list[dict[str, Any]]:
     """Teach poses before a rendered board, and give them to OpenCV's solvers."""
-    simulation, rng = simulation_of(conditions(POSE, BOARD)), np.random.default_rng([seed, 8])
+    simulation, rng = simulation_of(conditions(Pose.name, BOARD)), np.random.default_rng([seed, 8])
     joints: list[np.ndarray] = []
     boards: list[tuple[np.ndarray, np.ndarray]] = []
     while len(joints) < TAUGHT:
@@ -203,21 +203,21 @@ def least_squares_pose(
     Of boards at reported joints, rad, (k, n), and the rotations and places, m, that images show.
     Turns count as shifts over 0.3 m. The zero of the first joint counts as the base's.
     """
-    pose, kin = PoseFeature(0.3), arm()
-    seen = np.array([pose.of(place, rotation) for rotation, place in boards])
+    pose, kin = Pose(0.3), arm()
+    seen = np.array([pose.of_body(place, rotation) for rotation, place in boards])
     start = registered(
         DataSet(np.arange(len(seen)), reported_rad, seen, np.arange(len(seen)), kin.names,
-                feature=POSE), kin,
+                feature=Pose.name), kin,
     )  # fmt: skip
 
     def chain(values: np.ndarray) -> SerialChain:
         turn, middle = rotation_from_vector(values[:3]), seen[:, :3].mean(axis=0)
         moved = start.moved(turn, middle - turn @ middle + values[3:6])
-        return replace(moved, feature_m=pose.displaced(moved.feature_m, values[6:12]))
+        return replace(moved, feature_m=pose.retract(moved.feature_m, values[6:12]))
 
     def off(values: np.ndarray) -> np.ndarray:
         zeros = np.append(0.0, values[12:])
-        return np.ravel(chain(values).position(reported_rad + zeros) - seen)
+        return np.ravel(pose.weights * (chain(values).position(reported_rad + zeros) - seen))
 
     found = chain(least_squares(off, np.zeros(11 + len(kin.names))).x)
     rotation = Rotation.align_vectors(kin.axes, found.axes)[0].as_matrix()
@@ -227,7 +227,7 @@ def least_squares_pose(
 def measure(context: lab.Context) -> lab.Found:
     """Calibrate by motion and by taught poses, with many seeds."""
     seeds = range(1, 1 + context.count(20, 1))
-    tasks = [(seed, feature) for feature in (BALL, POSE) for seed in seeds]
+    tasks = [(seed, feature) for feature in (Ball.name, Pose.name) for seed in seeds]
     motion = context.map(by_motion, tasks[:1] if context.quick else tasks, "motion")
     names = (*OTHERS, *(name for name in ARMS if ROBOTS[name].installed))
     other = [(name, seed) for name in names for seed in seeds[: max(1, len(seeds) // 4)]]
@@ -286,7 +286,7 @@ TABLES = (
 
 def overlay() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """An image, the arm of the URDF drawn through a calibration, px, and its errors, px."""
-    simulation = simulation_of(conditions(BALL))
+    simulation = simulation_of(conditions(Ball.name))
     asked = CollectorConfig(duration_s=MOTION_S, seed=1)
     found = calibrate(collect(simulation, asked), arm())
     simulation.reset(HOME_RAD)

@@ -15,13 +15,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fvs_estimator_node.files import MODELS
 from fvs_lab.figures import save
 from fvs_lab.outcome import Outcome
 from fvs_lab.report import Figure, Report, Table, Verdict, Words
 from fvs_lab.results import Interval, Results, table
 from fvs_lab.trials import Case, Conditions, Trial, Variant, run_trial
-from fvs_ros.topics import BALL
+from fvs_ros.kinds.ball import Ball
 
 PAPER, OURS = "the paper's", "ours"
 
@@ -282,7 +281,7 @@ class Experiment:
     #: Name of the template; by default the experiment's.
     template: str = ""
     #: The shipped model that it uses; empty for none.
-    model: str = MODELS[BALL]
+    model: str = Ball.model
 
     def run(self, context: Context) -> Report:
         """Measure, judge, tabulate and draw."""

@@ -12,7 +12,6 @@ import numpy as np
 from fvs_detector_node.tag_pose import TagPose
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.base import Estimator
-from fvs_estimator_node.files import MODELS
 from fvs_lab import contestants as who
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
@@ -31,21 +30,20 @@ from fvs_lab.trials import (
     simulation_of,
 )
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import PoseFeature, ServoedConfig
+from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import rotation_from_vector
-from fvs_ros.topics import POSE
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.closed_loop import ClosedLoop
 from fvs_tools.score import FINAL_S
 
 _LIMITS = Limits(who.SPEED_RAD_S, who.ACCELERATION_RAD_S2)
-_FEATURE = PoseFeature(ServoedConfig.lever_arm_m)
+_KIND = Pose()
 #: Noise of each coordinate of an exact camera, m: like that of rendered images.
 NOISE_M = 3e-4
 #: How the tag is seen.
-EXACT = Conditions(POSE, rendered=False, position_noise_m=NOISE_M)
-IMAGES = Conditions(POSE, position_noise_m=0.0)
+EXACT = Conditions(Pose.name, rendered=False, position_noise_m=NOISE_M)
+IMAGES = Conditions(Pose.name, position_noise_m=0.0)
 #: Schemes that are run with images, too.
 SEEN = (who.BEST, who.EXTENDED, "proposed")
 #: Calibrated cameras: rotation, degrees, and place, m, that the extrinsics are off by.
@@ -76,7 +74,7 @@ class Calibrated(Estimator):
     learns = False
 
     def __init__(self, chain: SerialChain) -> None:
-        super().__init__()
+        super().__init__(_KIND)
         self._chain = chain
 
     @property
@@ -84,9 +82,9 @@ class Calibrated(Estimator):
         """The arm as the measured camera would see it."""
         return self._chain
 
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Of the chain, m/rad, (m, n)."""
-        return self._chain.jacobian(joints_rad)
+    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
+        """Of the chain, m/rad, (d, n)."""
+        return self.kind.moved_by(*self._chain.motion(joints_rad))
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ class CalibratedTrial(Trial):
         axis, way = np.random.default_rng(self.case.seed).normal(size=(2, 3))
         turn = rotation_from_vector(np.array(along(axis, np.radians(self.off[0]))))
         shift_m = np.array(along(way, self.off[1]))
-        chain = simulation.true_chain(_FEATURE).moved(turn, shift_m)
+        chain = simulation.true_chain(_KIND).moved(turn, shift_m)
         values = {"law": self.variant.law, **self.variant.controller_values}
         return ClosedLoop(simulation, Calibrated(chain), values)
 
@@ -108,7 +106,7 @@ class CalibratedTrial(Trial):
 @lru_cache(maxsize=1)
 def _arm() -> SerialChain:
     """The true kinematics, world frame."""
-    return simulation_of(EXACT).world.pose_chain(_FEATURE)
+    return simulation_of(EXACT).world.chain_with(_KIND)
 
 
 def floor_s(case: Case) -> float:
@@ -120,7 +118,7 @@ def rest(outcome: Outcome) -> dict[str, float]:
     """Final errors of way, m, and turn, degrees, rms over the last second."""
     series, target_m = outcome.series, np.array(outcome.target_m)
     last = series["time_s"] > series["time_s"][-1] - FINAL_S
-    parts = [_FEATURE.parts(_FEATURE.error(one, target_m)) for one in series["ball_m"][last]]
+    parts = [_KIND.status_values(_KIND.minus(one, target_m)) for one in series["ball_m"][last]]
     way_m, angle_rad = np.array([[one["way_m"], one["angle_rad"]] for one in parts]).T
     return {"rest_m": _rms(way_m), "rest_deg": float(np.degrees(_rms(angle_rad)))}
 
@@ -173,7 +171,9 @@ def _at_rest(context: lab.Context) -> Iterator[Mapping[str, Any]]:
     runs: list[tuple[dict[str, Any], Trial]] = []
     for body, tag in list(BODIES.items())[: 1 if context.quick else None]:
         for distance_m in DISTANCES_M[1:2] if context.quick else DISTANCES_M:
-            seen = Conditions(POSE, position_noise_m=0.0, camera_distance_m=distance_m, tag=tag)
+            seen = Conditions(
+                Pose.name, position_noise_m=0.0, camera_distance_m=distance_m, tag=tag
+            )
             count = max(1, context.count(60, 1) // 3)
             for case in make_cases("D", count, 421, 0.05, 0.2, seen):
                 labels = {"part": "rest", "body": body, "distance_m": distance_m, "case": case.name}
@@ -212,7 +212,7 @@ def _move(bump: Bump, one: ClosedLoop) -> None:
 
 def measure(context: lab.Context) -> lab.Found:
     """Run every scheme with an exact camera, some with images, and calibrated cameras."""
-    cases = make_cases("P", context.count(60, 1), 420, conditions=Conditions(POSE))
+    cases = make_cases("P", context.count(60, 1), 420, conditions=Conditions(Pose.name))
     names = [one.name for one in cases]
     floors = dict(zip(names, context.map(floor_s, cases, "the floor"), strict=True))
     schemes = (*SEEN, *(name for name in who.PUBLISHED if name not in SEEN), who.BEST_ORACLE)
@@ -316,4 +316,4 @@ def figures(found: lab.Found) -> Iterator[lab.Drawn]:
     yield "errors", figure, {}
 
 
-EXPERIMENT = lab.Experiment("pose", measure, claims, TABLES, figures, globals(), model=MODELS[POSE])
+EXPERIMENT = lab.Experiment("pose", measure, claims, TABLES, figures, globals(), model=Pose.model)

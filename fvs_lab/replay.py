@@ -20,16 +20,15 @@ from fvs_controller_node.target_motion import continues
 from fvs_lab.figures import bound_line, grid, legend, save
 from fvs_ros import topics
 from fvs_ros.arguments import Parser
-from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
 from fvs_ros.joints import JointMap
-from fvs_ros.rotations import rotation_from_quaternion
+from fvs_ros.kinds import KINDS, Kind, kind_of
 from fvs_ros.status import SILENT_S, vector
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_ros.vectors import plausible
 from fvs_tools.bag_reader import BagError, open_bag
 from fvs_tools.demo import table
 from fvs_tools.scenario import read_yaml
-from fvs_tools.score import SETTLED_ERROR_M, TargetScore, judge, way_and_arc_m
+from fvs_tools.score import SETTLED_ERROR_M, TargetScore, judge, largest_part_m
 
 COMMAND = "fvs_experiments replay"
 #: A stamp further than this from the arrival, s, is by another clock, or of a latched message.
@@ -80,7 +79,7 @@ class Recording:
     m), ``velocities`` and ``positions`` (commands, rad/s and rad).
     """
 
-    feature: Feature
+    kind: Kind
     cut_off: bool
     #: First and last arrival, s.
     start_s: float
@@ -112,17 +111,17 @@ def read(path: Path, namespace: str | None = None) -> Recording:
         started, declared = _notes(reader.notes)
         names = [declared.get(one.topic, one.topic) for one in reader.connections]
         ends = {name.rpartition("/")[2] for name in names}
-        if topics.TOOL_POSE.name in ends and topics.BALL_POSITION.name not in ends:
-            started.setdefault("feature", topics.POSE)
+        kinds = [name for name, kind in KINDS.items() if kind.topics.tool.name in ends]
+        if kinds:
+            started.setdefault("feature", kinds[0])
         started = default_values() | started
-        config = {name: started[name] for name in ("feature", "lever_arm_m")}
-        feature = ServoedConfig(**config).servoed
+        kind = kind_of(started["feature"], started["lever_arm_m"])
         joint_map = JointMap(started["joint_names"], started["tf_prefix"])
         keys = {
             topics.JOINT_STATES: "joints",
-            feature.seen: "seen",
-            feature.truth: "true",
-            feature.target: "target",
+            kind.topics.tool: "seen",
+            kind.topics.truth: "true",
+            kind.topics.target: "target",
             topics.COMMANDS: "velocities",
             topics.POSITION_COMMANDS: "positions",
             topics.CONTROLLER_STATUS: "status",
@@ -151,13 +150,13 @@ def read(path: Path, namespace: str | None = None) -> Recording:
                 statuses.append(_status(arrival_s, message))
             else:
                 with suppress(ValueError):  # the nodes refuse it, too
-                    numbers = _numbers(message, feature, joint_map)
+                    numbers = _numbers(message, kind, joint_map)
                     found.setdefault(key, []).append((_time_s(arrival_s, message), numbers))
         if not arrivals_s:
             wanted, held = ", ".join(topic.name for topic in keys), ", ".join(names)
             raise BagError(f"it holds none of {wanted}; it has {held or 'no messages'}")
         return Recording(
-            feature=feature,
+            kind=kind,
             cut_off=reader.cut_off,
             start_s=arrivals_s[0],
             end_s=arrivals_s[-1],
@@ -184,19 +183,11 @@ def _time_s(arrival_s: float, message: Any) -> float:
     return stamp_s if abs(arrival_s - stamp_s) < _OWN_CLOCK_S else arrival_s
 
 
-def _numbers(message: Any, feature: Feature, joint_map: JointMap) -> np.ndarray:
+def _numbers(message: Any, kind: Kind, joint_map: JointMap) -> np.ndarray:
     """Joint velocities, a command, or a feature; a ``ValueError`` if they cannot be used."""
     if hasattr(message, "velocity"):
         return joint_map.positions(message.name, message.velocity)
-    if hasattr(message, "data"):
-        values = np.array(message.data)
-    else:
-        at = message.point if hasattr(message, "point") else message.pose.position
-        values = np.array([at.x, at.y, at.z])
-        if isinstance(feature, PoseFeature):
-            turn = message.pose.orientation
-            quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
-            values = feature.of(values, rotation_from_quaternion(quaternion))
+    values = np.array(message.data) if hasattr(message, "data") else kind.read(message)
     if not plausible(values):
         raise ValueError("not finite, or too large")
     return values
@@ -226,7 +217,8 @@ def targets(recording: Recording) -> list[Target]:
         return []
     changed = np.append(True, np.diff(given.values, axis=0).any(axis=1))
     given = Series(given.time_s[changed], given.values[changed])
-    steps = zip(np.diff(given.values, axis=0), np.diff(given.time_s), strict=True)
+    steps_m = [recording.kind.minus(z, before) for before, z in pairwise(given.values)]
+    steps = zip(steps_m, np.diff(given.time_s), strict=True)
     starts = [0, *(i for i, step in enumerate(steps, 1) if not continues(*step))]
     runs = [Series(given.time_s[i:j], given.values[i:j]) for i, j in pairwise([*starts, None])]
     found = []
@@ -253,7 +245,7 @@ def _shows(status: Status, run: Series) -> bool:
 
 def _judged(recording: Recording, run: Series, statuses: Sequence[Status], end_s: float) -> Target:
     """Judge a target until the next one, or until the arm is stopped or the target left."""
-    feature, series, start_s = recording.feature, recording.series, run.time_s[0]
+    kind, series, start_s = recording.kind, recording.series, run.time_s[0]
     begun, reason = False, ""
     for one in statuses:
         started = one.state in _STARTED and one.reason != Reason.SHUT_DOWN.name
@@ -264,14 +256,14 @@ def _judged(recording: Recording, run: Series, statuses: Sequence[Status], end_s
     seen = series.get("true") or series.get("seen") or _NOTHING
     time_s, seen_m = seen.between(start_s, end_s)
     wanted_m = run.values[np.searchsorted(run.time_s, time_s, side="right") - 1]
-    errors_m = np.array(list(map(feature.error, seen_m, wanted_m)))
+    errors_m = np.array(list(map(kind.minus, seen_m, wanted_m)))
     if not time_s.size:
-        time_s, errors_m = np.array([start_s]), np.full((1, feature.task_scale.size), np.nan)
+        time_s, errors_m = np.array([start_s]), np.full((1, kind.size), np.nan)
     speeds_rad_s = series.get("joints", _NOTHING).between(start_s, end_s).values
     if not speeds_rad_s.size:
         speeds_rad_s = np.full((1, 1), np.nan)
-    score = judge(feature, time_s - start_s, errors_m, speeds_rad_s)
-    return Target(start_s, time_s, np.maximum(*way_and_arc_m(errors_m)), score, reason)
+    score = judge(kind, time_s - start_s, errors_m, speeds_rad_s)
+    return Target(start_s, time_s, largest_part_m(kind, errors_m), score, reason)
 
 
 # ---- table and figure -----------------------------------------------------------------------
@@ -305,7 +297,7 @@ def draw(path: Path, recording: Recording, found: Sequence[Target]) -> None:
         error.plot(time_s, error_mm, color="black", linewidth=1.1)
         error.annotate(str(number), (time_s[0], error_mm[0]))
     bound_line(error, 1e3 * SETTLED_ERROR_M)
-    error.set(yscale="log", ylabel=f"distance of the {recording.feature.what}\nto its target, mm")
+    error.set(yscale="log", ylabel=f"distance of the {recording.kind.what}\nto its target, mm")
     for kind, unit in (("velocities", "rad/s"), ("positions", "rad")):
         if kind in recording.series:
             time_s, values = recording.series[kind]

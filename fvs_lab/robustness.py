@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 
-from fvs_estimator_node.files import MODELS
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.outcome import NOT_STAYED, Outcome
@@ -18,6 +17,7 @@ from fvs_lab.search import ORACLE, ORACLES
 from fvs_lab.trials import Trial, Variant
 from fvs_lab.worlds import DISTANCE_M, KINDS, QUANTITIES, Kind, Quantity, World, draw_world
 from fvs_ros.arguments import unknown
+from fvs_ros.kinds import kind_of
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
 from fvs_tools.score import FINAL_S
 
@@ -240,7 +240,7 @@ EXPERIMENTS = {
         TABLES,
         figures,
         globals(),
-        model=MODELS[kind.feature],
+        model=kind_of(kind.feature).model,
         template="robustness",
     )
     for name, kind in KINDS.items()

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fvs_estimator_node.base import Estimator, MotionStep
-from fvs_estimator_node.loop import StepPairing
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_estimator_node.steps import StepPairing
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, relative_errors, simulation_of
+from fvs_ros.filter import Image
+from fvs_ros.track import Track as ImageTrack
 from fvs_tools.score import criteria
 
 #: Speed of the fastest joint, rad/s.
@@ -82,11 +84,9 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
     simulation = simulation_of(conditions)
     reference = _Reference(seed)
     simulation.reset(reference.start_rad, seed)
-    pairing = StepPairing()
-    timeline = pairing.timeline
+    pairing, track, images = StepPairing(), ImageTrack(simulation.kind), list[Image]()
     period_s = 1.0 / simulation.config.joint_state_rate_hz
     joints = simulation.joints_rad
-    steps: list[MotionStep] = []
     truth_m: dict[int, np.ndarray] = {}
     squared_errors_m2: list[float] = []
     for _ in range(round((reference.prelude_s + duration_s) / period_s)):
@@ -96,12 +96,12 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
         joints = out.joints_rad
         for seen in out.observations:
             truth_m[_microseconds(seen.stamp_s)] = seen.true_position_m
-            if seen.detection is not None:
-                error_m = seen.detection.position_m - seen.true_position_m
+            if seen.z is not None:
+                error_m = seen.z - seen.true_position_m
                 squared_errors_m2.append(float(error_m @ error_m))
-                samples = timeline.add_feature(seen.stamp_s, seen.detection.position_m)
-                steps += pairing.steps(samples)
-        steps += pairing.steps(timeline.add_joints(out.time_s, joints))
+                images += track.add_image(seen.stamp_s, seen.z)
+        images += track.add_joints(out.time_s, joints, None)
+    steps = [step for step in map(pairing.step, images) if step is not None]
     ends_m, starts_m = (
         np.array([truth_m[_microseconds(getattr(step, name))] for step in steps])
         for name in ("stamp_s", "start_stamp_s")
@@ -169,7 +169,7 @@ def judge(estimator: Estimator, recording: Recording, hears_prelude: bool) -> Tr
     jacobians = []
     for step, counts in zip(recording.steps, scored, strict=True):
         if counts:
-            jacobians.append(estimator.jacobian(step.joints_rad))
+            jacobians.append(estimator.jacobian(step.joints_rad, step.z))
         if estimator.learns and (counts or hears_prelude):
             estimator.update(step)
     jacobian, true_m = np.array(jacobians), recording.true_d_ball_m[scored]

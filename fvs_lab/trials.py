@@ -11,12 +11,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fvs_controller_node.prediction import FeaturePredictor
 from fvs_controller_node.supervisor import Command
-from fvs_detector_node.detection import BallDetection
 from fvs_detector_node.tags import Tag
 from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, seconds
-from fvs_ros.topics import BALL, POSE
+from fvs_ros.kinds.ball import Ball
+from fvs_ros.track import Track
 from fvs_ros.vectors import length
 from fvs_sim_node.camera import CAMERAS, CameraPose
 from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
@@ -58,7 +57,7 @@ class Conditions:
     """The world of a run, the same for all variants in a comparison."""
 
     #: What the arm carries: a ball, or a tag (pose).
-    feature: str = BALL
+    feature: str = Ball.name
     #: Whether it is seen in rendered images.
     rendered: bool = True
     #: Further noise on each coordinate, m, and that of :class:`StableNoise`; 2 for white noise.
@@ -182,12 +181,12 @@ class Case:
     seed: int
 
 
-class LastImage(FeaturePredictor):
-    """Uses the ball of the last image as its present position."""
+class LastImage(Track):
+    """Uses what the last image measured as its present value."""
 
-    def predict(self) -> np.ndarray | None:
-        """Find the ball's position in the last image, m, (m,)."""
-        return None if super().predict() is None else self.image_m
+    def now(self) -> np.ndarray | None:
+        """Find the measurement of the last image, (m,)."""
+        return None if super().now() is None or self.newest is None else self.newest.z
 
 
 @dataclass(frozen=True)
@@ -250,16 +249,14 @@ class Trial:
         estimator = make_estimator(who.method, simulation, who.estimator_values)
         one = ClosedLoop(simulation, estimator, {"law": who.law, **who.controller_values})
         if not who.predicts:
-            one.loop.predictor = LastImage()
+            one.loop.track = LastImage(one.kind)
         return one
 
 
 def sees(simulation: Simulation) -> bool:
     """Whether the camera sees enough of the ball, or the tag three times."""
-    if simulation.config.feature == POSE:
-        return all(simulation.look().detection is not None for _ in range(3))
-    found = simulation.look().detection
-    return isinstance(found, BallDetection) and found.visible_fraction >= 0.9
+    looks = [simulation.look().detection for _ in range(3)]
+    return all(seen is not None and seen.visible_fraction >= 0.9 for seen in looks)
 
 
 def sees_all(simulation: Simulation, places: Iterable[Joints | np.ndarray]) -> bool:
@@ -351,7 +348,7 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
         commands.append(one.tick())
         times_s.append(simulation.time_s - start_s)
         balls_m.append(one.true_feature)
-        errors_m.append(length(one.feature.error(balls_m[-1], target_m)))
+        errors_m.append(length(one.kind.minus(balls_m[-1], target_m)))
         targets_m.append(target_m)
         if tick % JACOBIAN_EVERY == 0:
             jacobian_errors.append(jacobian_error(one))
@@ -390,7 +387,7 @@ def settling_run(one: ClosedLoop, target_m: np.ndarray, duration_s: float) -> fl
 
 def jacobian_error(one: ClosedLoop) -> float:
     """Relative Frobenius error of the Jacobian that the controller uses now."""
-    true = one.simulation.true_task_jacobian(one.feature, one.simulation.joints_rad)
+    true = one.simulation.true_feature_jacobian(one.simulation.joints_rad, one.kind)
     used = one.loop.jacobian
     return float("nan") if used is None else float(relative_errors(used, true))
 

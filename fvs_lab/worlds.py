@@ -21,7 +21,8 @@ from fvs_lab.trials import (
     sees,
     simulation_of,
 )
-from fvs_ros.topics import BALL, POSE
+from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.pose import Pose
 
 #: Least and largest distance of start and target, m.
 DISTANCE_M = (0.1, 0.5)
@@ -40,7 +41,7 @@ class Kind:
     bumped_share: float = 0.0
     heavy_share: float = 0.0
     #: What the arm carries.
-    feature: str = BALL
+    feature: str = Ball.name
 
 
 #: Every disturbance at the same time.
@@ -87,7 +88,7 @@ EVERYDAY = Kind(
 )
 
 #: The same for a tag's pose.
-TAGS = replace(EVERYDAY, name="tags", seed=306, feature=POSE)
+TAGS = replace(EVERYDAY, name="tags", seed=306, feature=Pose.name)
 
 KINDS = {kind.name: kind for kind in (EVERYDAY, HARSH, TAGS)}
 

@@ -7,13 +7,13 @@ Product of exponentials: with axis i a line through ``q_i`` along the unit vecto
 where ``E_i(angle)`` turns space about axis i, or shifts it along axis i if joint i is prismatic and
 r_i a length. Axes and x0 are those of the reference joints ``r0``, in the camera's frame: no other
 frame, and no length or angle of the robot, is needed. With ``T_i``, the derivative of ``E_i`` at 0,
-column i of the Jacobian is the same product with ``T_i`` put in before ``E_i``. A tag's pose is a
-point and three directions (:mod:`fvs_ros.feature`); a direction is turned, but not shifted.
+column i of the Jacobian is the twist of axis i, as it stands now, applied to x. A tag's pose is a
+point and three directions (:mod:`fvs_ros.kinds.pose`); a direction is turned, but not shifted.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -92,6 +92,8 @@ class SerialChain:
     #: prismatic joint, whose T_i^2 is zero; all transposed, for points in rows.
     _twists: np.ndarray = field(init=False, repr=False)
     _squares: np.ndarray = field(init=False, repr=False)
+    #: Axes and points in homogeneous coordinates, (n, 2, 4).
+    _lines: np.ndarray = field(init=False, repr=False)
     #: Point and directions in homogeneous coordinates, (m / 3, 4).
     _carried: np.ndarray = field(init=False, repr=False)
     _shifts: np.ndarray = field(init=False, repr=False)
@@ -117,6 +119,8 @@ class SerialChain:
         twists = np.ascontiguousarray(np.swapaxes(twists, 1, 2))
         self._keep("_twists", twists)
         self._keep("_squares", twists @ twists)
+        lines = np.stack([self.axes, self.points_m], axis=1)
+        self._keep("_lines", np.insert(lines, 3, [0.0, 1.0], axis=2))
         carried = np.insert(self.feature_m.reshape(-1, 3), 3, 0.0, axis=1)
         carried[0, 3] = 1.0
         self._keep("_carried", carried)
@@ -144,8 +148,8 @@ class SerialChain:
             carried = carried @ turns[..., i, :, :]
         return carried[..., :3].reshape(*carried.shape[:-2], -1)
 
-    def position_and_jacobian(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The feature and its Jacobian.
+    def motion(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The feature, and the twist of space by each joint.
 
         Parameters
         ----------
@@ -154,36 +158,41 @@ class SerialChain:
 
         Returns
         -------
-        feature_m : ndarray, shape (..., m)
-            m.
-        jacobian : ndarray, shape (..., m, n)
-            m/rad.
+        feature : ndarray, shape (..., m)
+            As carried.
+        turns : ndarray, shape (..., n, 3)
+            Angular velocities w per joint velocity, camera frame, rad/rad.
+        shifts_m : ndarray, shape (..., n, 3)
+            Velocities v of what is at the camera's origin, m/rad: a point p moves by ``v + w x p``.
         """
-        turns = self._turns(joints_rad)
-        # Rows: the columns of the Jacobian and, last, the feature, from the last joint to the
-        # first; each is a point and directions.
-        joints, rows = len(self._twists), len(self._carried)
-        parts = np.empty((*turns.shape[:-3], (joints + 1) * rows, 4))
-        parts[..., -rows:, :] = self._carried
-        if parts.ndim == 2:
-            self._turn_one(parts, turns)
-        else:
-            for i in reversed(range(joints)):
-                first = (i + 1) * rows
-                parts[..., first:, :] = parts[..., first:, :] @ turns[..., i, :, :]
-                parts[..., first - rows : first, :] = parts[..., -rows:, :] @ self._twists[i]
-        parts = parts[..., :3].reshape(*parts.shape[:-2], joints + 1, 3 * rows)
-        return parts[..., joints, :], np.swapaxes(parts[..., :joints, :], -1, -2)
+        stages = self._stages(self._turns(joints_rad))
+        lines = (self._lines @ stages[..., :-1, :, :])[..., :3]
+        axes, points_m = lines[..., 0, :], lines[..., 1, :]
+        shifts_m = (cross_matrix(points_m) @ axes[..., None])[..., 0]
+        if self._shifts.size:
+            shifts_m[..., self._shifts, :] = axes[..., self._shifts, :]
+            axes[..., self._shifts, :] = 0.0
+        feature = (self._carried @ stages[..., -1, :, :])[..., :3]
+        return feature.reshape(*feature.shape[:-2], -1), axes, shifts_m
 
-    def _turn_one(self, parts: np.ndarray, turns: np.ndarray) -> None:
-        """The same for one joint vector, in half the time: fewer numpy calls."""
-        twists, rows = self._twists, len(self._carried)
-        carried = parts[-rows:]
-        for i in reversed(range(len(twists))):
-            first = (i + 1) * rows
-            later = parts[first:]
-            later[:] = later.dot(turns[i])
-            carried.dot(twists[i], out=parts[first - rows : first])
+    def _stages(self, turns: np.ndarray) -> np.ndarray:
+        """Motion of what is behind the first 0, 1, ... joints, transposed, (..., n + 1, 4, 4)."""
+        joints = turns.shape[-3]
+        stages = np.empty((*turns.shape[:-3], joints + 1, 4, 4))
+        stages[..., 0, :, :] = _UNIT
+        multiply = np.dot if turns.ndim == 3 else np.matmul  # of one matrix: in half the time
+        for i in range(joints):
+            multiply(turns[..., i, :, :], stages[..., i, :, :], out=stages[..., i + 1, :, :])
+        return stages
+
+    def position_and_jacobian(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The feature, (..., m), and its Jacobian, (..., m, n), at joints, rad, (..., n)."""
+        feature, turns, shifts_m = self.motion(joints_rad)
+        parts = feature.reshape(*feature.shape[:-1], -1, 3)
+        is_point = self._carried[:, 3, None, None]
+        moved = turns[..., None, :, :] @ cross_matrix(parts) + is_point * shifts_m[..., None, :, :]
+        jacobian = np.swapaxes(moved, -1, -2)
+        return feature, jacobian.reshape(*feature.shape, len(self.axes))
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """The Jacobian, m/rad, shape (..., m, n), at joints, rad, shape (..., n)."""
@@ -220,11 +229,7 @@ class SerialChain:
     def _slopes(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Feature, its derivatives by all twists, (k, m, 6 n + 6), and how it has been turned."""
         turns, rows = self._turns(joints_rad), len(self._carried)
-        # How what is behind the first joints moves, transposed.
-        stages = np.empty((len(turns), len(self.axes) + 1, 4, 4))
-        stages[:, 0] = _UNIT
-        for i in range(len(self.axes)):
-            stages[:, i + 1] = turns[:, i] @ stages[:, i]
+        stages = self._stages(turns)
         feature = (self._carried @ stages[:, -1])[..., :3]
         is_point, unit = self._carried[:, 3:], stages[:, :, None, :3, :3]
         # A turn about a unit vector f, a row of a stage, moves a point at a by f x a.
@@ -238,6 +243,10 @@ class SerialChain:
             by_twist.reshape(*size, -1),
             np.swapaxes(stages[:, -1, :3, :3], 1, 2),
         )
+
+    def weighted(self, weights: np.ndarray) -> SerialChain:
+        """The chain that carries the numbers of this one times weights, (m,)."""
+        return replace(self, feature_m=weights * self.feature_m)
 
     def moved(self, rotation: np.ndarray, translation_m: np.ndarray) -> SerialChain:
         """The chain as seen after ``x -> R x + t``: another camera pose, all else the same.

@@ -9,7 +9,6 @@ from math import pi
 import numpy as np
 
 from fvs_ros.params import Parameters, parameter
-from fvs_ros.timeline import possible_step_rad
 from fvs_ros.vectors import largest, plausible
 
 #: The UR joints in kinematic order, base to flange: the order of every vector in this project.
@@ -29,6 +28,11 @@ UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
 #: turns, was wrapped, rad: an arm is held meanwhile, and would else go back by a turn. In a longer
 #: silence, s, it may truly have been turned, and a slide moved as far by hand.
 _HELD_RAD, _SILENCE_S = 0.25, 20.0
+
+#: Fastest joint, rad/s.
+_FASTEST_RAD_S = 1.5 * pi
+#: Slack of a step between two joint states, rad: more is a jump.
+_JUMP_RAD = 0.1
 
 
 @dataclass(frozen=True)
@@ -151,7 +155,7 @@ class JointMap:
             if self.middle_rad is not None:
                 self._turns_rad = _full_turns(self.middle_rad - wrapped)
             return wrapped + self._turns_rad
-        step, possible_rad = wrapped - last, possible_step_rad(passed_s)
+        step, possible_rad = wrapped - last, _JUMP_RAD + _FASTEST_RAD_S * abs(passed_s)
         if largest(step) > pi:
             turns_rad = _full_turns(step)
             held_rad = _HELD_RAD if abs(passed_s) < _SILENCE_S else 0.0

@@ -1,30 +1,26 @@
 """Time stamps: recent joint states, and the joints at an image's exposure.
 
-A feature carries the stamp of its exposure. :class:`Timeline` finds the joints at that
-stamp, waiting for a later joint state if need be, and numbers continuous runs of such samples.
-Whatever breaks the flow of time (a gap, a repeated or older stamp, a clock jump, a lost feature)
-starts a new run, and nothing is ever paired across runs.
+A measurement carries the stamp of its exposure. :class:`Timeline` finds the joints at that stamp,
+waiting for a later joint state if need be, and numbers continuous runs of such samples. Whatever
+breaks the flow of time (a gap, a repeated or older stamp, a clock jump, a lost image) starts a new
+run, and nothing is ever paired across runs.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
-from math import pi
 from typing import NamedTuple
 
 import numpy as np
 
-from fvs_ros.vectors import largest
-
-#: Fastest joint, rad/s, and slack of a step between two joint states, rad: more is a jump.
-_FASTEST_RAD_S, _JUMP_RAD = 1.5 * pi, 0.1
-
 #: A stamp that goes back by no more is a late message; by more, the clock jumped, s.
 MAX_BACKSTEP_S = 0.1
 
-#: A history reaches back this far; two samples further apart are not interpolated, s.
-_LENGTH_S, _MAX_INTERVAL_S = 2.0, 0.1
+#: A history reaches back this far, s.
+_LENGTH_S = 2.0
+#: Two samples further apart are not interpolated, s.
+_MAX_INTERVAL_S = 0.1
 
 #: Two images, or updates of a target, further apart than this do not belong together, s.
 MAX_GAP_S = 0.25
@@ -32,14 +28,9 @@ MAX_GAP_S = 0.25
 #: Images that may wait for later joint states; the oldest gives way.
 _MAX_WAITING = 10
 
-#: A feature stamped further before the newest joint state is not paired: no camera is that
+#: An image stamped further before the newest joint state is not paired: no camera is that
 #: slow, so the two clocks differ, s.
 MAX_LATENCY_S = 0.5
-
-
-def possible_step_rad(passed_s: float) -> float:
-    """The largest step that a joint can make in this time, s."""
-    return _JUMP_RAD + _FASTEST_RAD_S * abs(passed_s)
 
 
 def repeats(stamp_s: float, last_s: float | None) -> bool:
@@ -48,7 +39,7 @@ def repeats(stamp_s: float, last_s: float | None) -> bool:
 
 
 class History:
-    """The last two seconds of joint positions, or of another vector that follows from them.
+    """The last two seconds of a vector, such as the joint positions.
 
     Stamps must come from one clock. A stamp that goes back by more than a tenth of a second, or
     forward by more than the history's length, is a clock jump and starts the history anew;
@@ -75,20 +66,7 @@ class History:
         self._values.clear()
 
     def add(self, stamp_s: float, value: np.ndarray) -> bool:
-        """Append a sample.
-
-        Parameters
-        ----------
-        stamp_s : float
-            Time of the sample, s.
-        value : ndarray
-            Joint positions, rad.
-
-        Returns
-        -------
-        bool
-            False if the clock jumped, so that the history was started anew.
-        """
+        """Append a sample; False if the clock jumped, so that the history was started anew."""
         if repeats(stamp_s, self.newest_stamp_s):
             return True
         jumped = bool(self._stamps) and not 0.0 < stamp_s - self._stamps[-1] <= _LENGTH_S
@@ -102,18 +80,7 @@ class History:
         return not jumped
 
     def at(self, stamp_s: float) -> np.ndarray | None:
-        """Value at a moment, by linear interpolation.
-
-        Parameters
-        ----------
-        stamp_s : float
-            The moment, s.
-
-        Returns
-        -------
-        ndarray or None
-            None where the history does not reach, or has a gap.
-        """
+        """Value at a moment, s, by linear interpolation; None in a gap, or outside."""
         if not self._stamps or not self._stamps[0] <= stamp_s <= self._stamps[-1]:
             return None
         right = bisect_right(self._stamps, stamp_s)
@@ -127,24 +94,12 @@ class History:
 
 
 class Sample(NamedTuple):
-    """An image and the joints at its exposure.
+    """An image and the joints at its exposure."""
 
-    Parameters
-    ----------
-    stamp_s : float
-        Exposure time, s.
-    joints_rad : ndarray, shape (n,)
-        Joint positions at that time, rad.
-    feature_m : ndarray, shape (m,)
-        Feature in the camera frame, m.
-    run : int
-        Number of the continuous run it belongs to.
-    """
-
-    stamp_s: float
-    joints_rad: np.ndarray
-    feature_m: np.ndarray
-    run: int
+    stamp_s: float  #: exposure, s
+    joints_rad: np.ndarray  #: joints then, rad, (n,)
+    z: np.ndarray  #: what was measured, (m,)
+    run: int  #: number of the continuous run it belongs to
 
 
 class Timeline:
@@ -157,9 +112,9 @@ class Timeline:
     seen_stamp_s : float or None
         Newest exposure, paired or not, s; None before the first.
     dropped : int
-        Number of features that could not be paired.
+        Number of images that could not be paired.
     last_reason : str
-        Why the last feature was dropped; empty if none was.
+        Why the last image was dropped; empty if none was.
     clock_jumps : int
         How often one of the two clocks jumped.
     """
@@ -167,72 +122,65 @@ class Timeline:
     def __init__(self) -> None:
         self.joints = History()
         self._waiting: deque[tuple[float, np.ndarray]] = deque()
-        self.seen_stamp_s: float | None = None
-        self._paired_stamp_s: float | None = None
-        self._run = 0
-        self.dropped = self.clock_jumps = 0
+        self._run = self.dropped = self.clock_jumps = 0
+        self._paired_s: float | None = None  # the newest exposure that was paired
         self.last_reason = ""
+        self.reset()
 
     def reset(self) -> None:
-        """Forget all joint states and waiting features, and start a new run."""
+        """Forget all joint states and waiting images, and start a new run."""
         self.joints.clear()
         self._waiting.clear()
-        self.seen_stamp_s = None
+        self.seen_stamp_s: float | None = None
         self._break_run()
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> list[Sample]:
-        """Take a joint state, s and rad, (n,); returns the features that waited for it."""
-        newest, newest_s = self.joints.newest, self.joints.newest_stamp_s
-        passed_s = 0.0 if newest_s is None else stamp_s - newest_s
-        if passed_s > 0.0 and largest(joints_rad - newest) > possible_step_rad(passed_s):
-            self.joints.clear()
-            self._drop("the joints jumped", len(self._waiting))
+        """Take a joint state, s and rad, (n,), no jump; returns the images that waited for it."""
         if not self.joints.add(stamp_s, joints_rad):
             self._drop("the joint states' clock jumped", len(self._waiting))
             self.seen_stamp_s = None
             self.clock_jumps += 1
         return self._pair()
 
-    def add_feature(self, stamp_s: float, feature_m: np.ndarray) -> list[Sample]:
-        """Take a feature, exposure in s and m, (m,); returns what can be paired now."""
-        last = self.seen_stamp_s
-        if repeats(stamp_s, last):
-            self._drop("a feature's stamp is repeated or older than the last")
+    def add_image(self, stamp_s: float, z: np.ndarray) -> list[Sample]:
+        """Take a measurement, (m,), and its exposure, s; returns what can be paired now."""
+        last_s = self.seen_stamp_s
+        if repeats(stamp_s, last_s):
+            self._drop("an image's stamp is repeated or older than the last")
             return []
-        if last is not None and stamp_s < last:
-            self._drop("the features' clock jumped back", len(self._waiting))
+        if last_s is not None and stamp_s < last_s:
+            self._drop("the images' clock jumped back", len(self._waiting))
             self.clock_jumps += 1
         self.seen_stamp_s = stamp_s
-        self._waiting.append((stamp_s, np.array(feature_m, dtype=float)))
+        self._waiting.append((stamp_s, np.array(z, dtype=float)))
         if len(self._waiting) > _MAX_WAITING:
             self._waiting.popleft()
-            self._drop("no joint state came for a feature")
+            self._drop("no joint state came for an image")
         return self._pair()
 
     def _pair(self) -> list[Sample]:
         samples = []
-        newest = self.joints.newest_stamp_s
-        while self._waiting and newest is not None and self._waiting[0][0] <= newest:
-            stamp_s, feature_m = self._waiting.popleft()
-            if newest - stamp_s > MAX_LATENCY_S:
+        newest_s = self.joints.newest_stamp_s
+        while self._waiting and newest_s is not None and self._waiting[0][0] <= newest_s:
+            stamp_s, z = self._waiting.popleft()
+            if newest_s - stamp_s > MAX_LATENCY_S:
                 self._drop(
-                    f"a feature is stamped {newest - stamp_s:.2f} s before the newest joint "
+                    f"an image is stamped {newest_s - stamp_s:.2f} s before the newest joint "
                     "state; check that both clocks agree (NTP)"
                 )
                 continue
-            joints = self.joints.at(stamp_s)
-            if joints is None:
-                self._drop("the joint states have a gap at a feature's exposure")
+            joints_rad = self.joints.at(stamp_s)
+            if joints_rad is None:
+                self._drop("the joint states have a gap at an image's exposure")
                 continue
-            last = self._paired_stamp_s
-            if last is not None and not 0.0 < stamp_s - last <= MAX_GAP_S:
+            if self._paired_s is not None and not 0.0 < stamp_s - self._paired_s <= MAX_GAP_S:
                 self._run += 1
-            self._paired_stamp_s = stamp_s
-            samples.append(Sample(stamp_s, joints, feature_m, self._run))
+            self._paired_s = stamp_s
+            samples.append(Sample(stamp_s, joints_rad, z, self._run))
         return samples
 
     def _drop(self, reason: str, waiting: int | None = None) -> None:
-        """Count features that are lost: one, or all that wait; start a new run."""
+        """Count images that are lost: one, or all that wait; start a new run."""
         if waiting is not None:
             self._waiting.clear()
         self.dropped += 1 if waiting is None else waiting
@@ -240,6 +188,4 @@ class Timeline:
         self._break_run()
 
     def _break_run(self) -> None:
-        if self._paired_stamp_s is not None:
-            self._run += 1
-        self._paired_stamp_s = None
+        self._run, self._paired_s = self._run + 1, None

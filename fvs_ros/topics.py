@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
 
 class Qos(Enum):
@@ -64,8 +64,6 @@ class Node:
     subscribes_to_all: bool = False
 
 
-#: What is servoed: a ball's position, or a tag's pose.
-BALL, POSE = FEATURES = "ball", "pose"
 SIM, DETECTOR = "fvs_sim_node", "fvs_detector_node"
 ESTIMATOR, CONTROLLER = "fvs_estimator_node", "fvs_controller_node"
 COLLECTOR, DEMO, DASHBOARD = "fvs_collector_node", "fvs_demo_node", "fvs_dashboard"
@@ -143,16 +141,75 @@ def _taken(interface: str) -> End:
     return End((Qos.RELIABLE,), given={"command_interface": interface})
 
 
-def _servoed(feature: str, end: End = _RELIABLE) -> End:
-    return replace(end, given={"feature": feature, **end.given})
-
-
-#: Who takes the feature.
-_SERVO_OR_SHOW = (ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DASHBOARD, MARKERS_NODE)
 _DRIVER = "the robot's driver"
 _CAMERA = "an RGB-D camera's driver"
 _TOOLS = "any tool"
 _VIEWERS = "RViz, Foxglove"
+
+
+class KindTopics(NamedTuple):
+    """The topics of a kind of feature."""
+
+    tool: Topic  #: what rides on the arm, as measured
+    target: Topic
+    sliding: Topic  #: the law's sliding variable
+    truth: Topic  #: a simulator's truth, for scoring
+
+
+def kind_topics(
+    feature: str,
+    message_type: str,
+    tool: tuple[str, str],
+    target: tuple[str, str],
+    sliding: tuple[str, str],
+) -> KindTopics:
+    """Topics of a kind of feature.
+
+    Parameters
+    ----------
+    feature : str
+        Value of the parameter ``feature`` with which nodes use them.
+    message_type : str
+        Of measurement, target and truth.
+    tool, target : tuple of str
+        Name and description.
+    sliding : tuple of str
+        Message type and description.
+    """
+
+    def ends(*nodes: str, of: End = _RELIABLE) -> dict[str, End]:
+        return dict.fromkeys(nodes, replace(of, given={"feature": feature, **of.given}))
+
+    users = ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DASHBOARD, MARKERS_NODE
+    name, description = tool
+    return KindTopics(
+        tool=Topic(
+            name,
+            message_type,
+            description,
+            ends(SIM, DETECTOR),
+            ends(*users, of=_NEWEST) | ends(SIM, of=_DETECTED),
+            also_from="your own detector or tracker",
+        ),
+        target=Topic(
+            target[0],
+            message_type,
+            f"{target[1]} Latched or not.",
+            ends(DEMO, DASHBOARD, of=_LATCHED),
+            ends(CONTROLLER, of=_EITHER),
+            also_from=YOU,
+        ),
+        sliding=Topic("sliding_variable", *sliding, ends(CONTROLLER), ends(ESTIMATOR, of=_NEWEST)),
+        truth=Topic(
+            f"{SIM}/true_{name}",
+            message_type,
+            f"The true value of `{name}`: for scoring, never for control.",
+            ends(SIM),
+            ends(DEMO),
+            also_to=_TOOLS,
+        ),
+    )
+
 
 JOINT_STATES = Topic(
     "joint_states",
@@ -162,24 +219,6 @@ JOINT_STATES = Topic(
     dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DEMO, DASHBOARD), _NEWEST),
     also_from=_DRIVER,
     also_to=_TOOLS,
-)
-BALL_POSITION = Topic(
-    "ball_position",
-    "geometry_msgs/msg/PointStamped",
-    "The ball's centre, m, in the camera's optical frame, stamped with the exposure; "
-    "silent while the ball is not seen.",
-    dict.fromkeys((SIM, DETECTOR), _servoed(BALL)),
-    dict.fromkeys(_SERVO_OR_SHOW, _servoed(BALL, _NEWEST)) | {SIM: _servoed(BALL, _DETECTED)},
-    also_from="your own detector",
-)
-TOOL_POSE = Topic(
-    "tool_pose",
-    "geometry_msgs/msg/PoseStamped",
-    "The tag's pose in the camera's optical frame, its x axis to the right, y up, z out of the "
-    "print, stamped with the exposure; silent while it is not seen or not certain.",
-    dict.fromkeys((SIM, DETECTOR), _servoed(POSE)),
-    dict.fromkeys(_SERVO_OR_SHOW, _servoed(POSE, _NEWEST)) | {SIM: _servoed(POSE, _DETECTED)},
-    also_from="your own detector or tracker",
 )
 JACOBIAN = Topic(
     "jacobian",
@@ -199,36 +238,6 @@ KINEMATIC_CHAIN = Topic(
     "ball, m, and zeros, or four of a tag's origin and its axes.",
     {ESTIMATOR: _RELIABLE},
     {CONTROLLER: _NEWEST},
-)
-TARGET_POSITION = Topic(
-    "target_position",
-    "geometry_msgs/msg/PointStamped",
-    "The desired ball position, m, in the frame of `ball_position`; latched or not.",
-    dict.fromkeys((DEMO, DASHBOARD), _servoed(BALL, _LATCHED)),
-    {CONTROLLER: _servoed(BALL, _EITHER)},
-    also_from=YOU,
-)
-TARGET_POSE = Topic(
-    "target_pose",
-    "geometry_msgs/msg/PoseStamped",
-    "The desired pose of the tag, in the frame of `tool_pose`; latched or not.",
-    dict.fromkeys((DEMO, DASHBOARD), _servoed(POSE, _LATCHED)),
-    {CONTROLLER: _servoed(POSE, _EITHER)},
-    also_from=YOU,
-)
-SLIDING_VARIABLE = Topic(
-    "sliding_variable",
-    "geometry_msgs/msg/Vector3Stamped",
-    "The control law's sliding variable after each image, for the estimator's update law.",
-    {CONTROLLER: _servoed(BALL)},
-    {ESTIMATOR: _servoed(BALL, _NEWEST)},
-)
-SLIDING_VECTOR = Topic(
-    SLIDING_VARIABLE.name,
-    "std_msgs/msg/Float64MultiArray",
-    "The same of a pose: 3 components of its origin, 3 of its turning.",
-    {CONTROLLER: _servoed(POSE)},
-    {ESTIMATOR: _servoed(POSE, _NEWEST)},
 )
 COMMANDS, POSITION_COMMANDS = (
     Topic(
@@ -379,22 +388,6 @@ TF_STATIC = Topic(
     },
     also_to=_VIEWERS,
 )
-TRUE_BALL_POSITION = Topic(
-    f"{SIM}/true_ball_position",
-    "geometry_msgs/msg/PointStamped",
-    "True ball position, m, in the camera's optical frame: for scoring, never for control.",
-    {SIM: _servoed(BALL)},
-    {DEMO: _servoed(BALL)},
-    also_to=_TOOLS,
-)
-TRUE_TOOL_POSE = Topic(
-    f"{SIM}/true_tool_pose",
-    "geometry_msgs/msg/PoseStamped",
-    "True pose of the tag in the camera's optical frame: for scoring, never for control.",
-    {SIM: _servoed(POSE)},
-    {DEMO: _servoed(POSE)},
-    also_to=_TOOLS,
-)
 TRUE_JACOBIAN = Topic(
     f"{SIM}/true_jacobian",
     "std_msgs/msg/Float64MultiArray",
@@ -429,8 +422,8 @@ ESTIMATOR_STATUS, CONTROLLER_STATUS, DETECTOR_STATUS = (
     )
 )
 
-#: All of them.
-TOPICS = tuple(one for one in list(vars().values()) if isinstance(one, Topic))
+#: All that every kind of feature has; :data:`fvs_ros.contract.TOPICS` are all.
+COMMON = tuple(value for value in list(vars().values()) if isinstance(value, Topic))
 
 #: What rclpy gives every node.
 EVERY_NODE_PUBLISHES = ("/rosout", "/parameter_events")
@@ -447,16 +440,6 @@ EVERY_NODE_SERVES = tuple(
         "get_type_description",
     )
 )
-
-
-def publishers(node: str) -> dict[Topic, End]:
-    """What a node publishes."""
-    return {topic: topic.publishers[node] for topic in TOPICS if node in topic.publishers}
-
-
-def subscribers(node: str) -> dict[Topic, End]:
-    """What a node subscribes to."""
-    return {topic: topic.subscribers[node] for topic in TOPICS if node in topic.subscribers}
 
 
 def resolve(name: str, node: str, namespace: str = "") -> str:

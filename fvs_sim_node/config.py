@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from math import ceil
 
 from fvs_detector_node.tags import Tag
-from fvs_ros import topics
 from fvs_ros.camera import FeatureConfig, Intrinsics
 from fvs_ros.interface import CommandInterface
+from fvs_ros.kinds import KINDS, KindConfig
 from fvs_ros.params import live_parameter, parameter
 from fvs_sim_node.camera import CAMERAS, CameraPose
 from fvs_sim_node.robot import ROBOTS
@@ -50,7 +50,7 @@ class SimConfig(CommandInterface):
         6.3,
     )
     feature: str = parameter(
-        topics.BALL, "what the arm carries: a ball, or a tag (pose)", choices=topics.FEATURES
+        KindConfig.feature, "what the arm carries: a ball, or a tag (pose)", choices=tuple(KINDS)
     )
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
     tag: Tag = field(default_factory=Tag)

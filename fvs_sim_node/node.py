@@ -17,8 +17,9 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
-from fvs_ros.feature import ServoedConfig
 from fvs_ros.interface import VELOCITY
+from fvs_ros.kinds import KINDS
+from fvs_ros.kinds.pose import Pose
 from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import PARAMETERS, SimNodeConfig
 from fvs_sim_node.frame_worker import FrameWorker
@@ -34,8 +35,7 @@ _ANSWERS = {
     topics.COMMANDS.name: 0.0,
     topics.POSITION_COMMANDS.name: 0.0,
     topics.JACOBIAN.name: 0.1,
-    topics.BALL_POSITION.name: 0.15,
-    topics.TOOL_POSE.name: 0.15,
+    **{kind.topics.tool.name: 0.15 for kind in KINDS.values()},
 }
 
 
@@ -60,9 +60,9 @@ class SimNode(ros.FvsNode):
         self._announced: bool | None = None
         self._paused_active: bool | None = None  # was the controller, when the pause began?
         self._joint_states = self.publisher(topics.JOINT_STATES)
-        self._feature = ServoedConfig(feature=config.simulation.feature).servoed
-        self._seen = self.publisher(self._feature.seen)
-        self._truth = self.publisher(self._feature.truth)
+        self._kind = self._sim.kind
+        self._seen = self.publisher(self._kind.topics.tool)
+        self._truth = self.publisher(self._kind.topics.truth)
         self._true_jacobian = self.publisher(topics.TRUE_JACOBIAN)
         self._camera_pose = self.publisher(topics.TRUE_CAMERA_POSE)
         self._color = self.create_publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)
@@ -95,7 +95,7 @@ class SimNode(ros.FvsNode):
             self._clock_topic = self.publisher(topics.CLOCK)
             others = [topics.JACOBIAN]
             if not config.publish_ball_position:  # a detector does
-                others.append(self._feature.seen)
+                others.append(self._kind.topics.tool)
             for topic in others:
                 self.subscribe(topic, partial(self._answer, topic.name))
             self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
@@ -149,13 +149,12 @@ class SimNode(ros.FvsNode):
             self._clock_topic.publish(Clock(clock=ros.to_stamp(stamp_s)))
         for observation in step.observations:
             self._publish_observation(observation)
-        feature = self._feature
         if self._truth.get_subscription_count():
-            true_m = self._sim.true_feature(feature)
-            self._truth.publish(ros.to_feature(stamp_s, self._frame, feature, true_m))
+            true = self._sim.true_feature()
+            self._truth.publish(ros.to_feature(stamp_s, self._frame, self._kind, true))
         if self._true_jacobian.get_subscription_count():
-            jacobian = self._sim.true_task_jacobian(feature, step.joints_rad)
-            self._true_jacobian.publish(ros.to_jacobian(jacobian, feature))
+            jacobian = self._sim.true_feature_jacobian(step.joints_rad)
+            self._true_jacobian.publish(ros.to_jacobian(jacobian, self._kind))
         self._publish_joints(stamp_s, step)
         self._stepped_s = self.steady_s()
         # Frames come after the joint states, which other nodes wait for.
@@ -180,9 +179,8 @@ class SimNode(ros.FvsNode):
         stamp_s = self._base_s + seen.stamp_s
         if self._info.get_subscription_count():
             self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
-        seen_m = seen.feature_m(self._feature)
-        if seen_m is not None and self._config.publish_ball_position:
-            self._seen.publish(ros.to_feature(stamp_s, self._frame, self._feature, seen_m))
+        if seen.z is not None and self._config.publish_ball_position:
+            self._seen.publish(ros.to_feature(stamp_s, self._frame, self._kind, seen.z))
         if seen.frame is not None:
             self._publish_frame(seen.frame)
             return
@@ -242,7 +240,8 @@ class SimNode(ros.FvsNode):
         self._sim.configure(config.simulation)
         if "camera_rotation_deg" in changed:
             frame, camera = config.tf_prefix + self._sim.world.root_link, self._sim.camera
-            pose = ros.to_pose(self.ros_s(), frame, camera.position_m, camera.quaternion)
+            z = Pose().of_body(camera.position_m, camera.rotation)
+            pose = ros.to_feature(self.ros_s(), frame, Pose(), z)
             self._camera_pose.publish(pose)
         self._play_program(config.program_running)
 

@@ -19,16 +19,14 @@ from fvs_detector_node.tag_pose import PoseFinder, TagPose
 from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import Feature, PoseFeature
 from fvs_ros.interface import VELOCITY
+from fvs_ros.kinds import Kind, kind_of
 from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.camera import CameraPose, Frame, add_depth_noise
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.tag import TagPicture
 from fvs_sim_node.world import Renderer, World
 
-#: Noise of a tag's turning is that of its position at this radius, m.
-_NOISE_ARM_M = 0.3
 #: A position drive closes what is missing at this gain, 1/s, and refuses a position that is further
 #: away than a joint moves in this time, s.
 _SEEK_GAIN, _MOST_AWAY_S = 10.0, 0.5
@@ -40,19 +38,13 @@ class BallObservation:
 
     stamp_s: float  # exposure
     detection: BallDetection | TagPose | None  # None if nothing was seen
+    z: np.ndarray | None  # what is reported of it, with noise, (m,)
     true_position_m: np.ndarray  # of ball or tag, camera frame, (3,)
     joints_rad: np.ndarray  # at the exposure, (n,)
     velocities_rad_s: np.ndarray  # of the joints then, (n,)
     camera: CameraPose
     covered: bool = False  # whether the lens was
     frame: Frame | None = None  # the image, if full frames are wanted
-
-    def feature_m(self, feature: Feature) -> np.ndarray | None:
-        """What was seen as a feature, m, (m,); None if nothing was."""
-        seen = self.detection
-        if isinstance(seen, TagPose) and isinstance(feature, PoseFeature):
-            return feature.of(seen.position_m, seen.rotation)
-        return None if seen is None else seen.position_m
 
 
 @dataclass(frozen=True)
@@ -101,11 +93,14 @@ class Simulation:
         Where the camera is now.
     active : bool
         Whether the velocity controller takes commands.
+    kind : Kind
+        Of what the arm carries.
     """
 
     def __init__(self, config: SimConfig | None = None) -> None:
         cv2.setNumThreads(1)  # one small image at a time: threads only cost
         config = config or SimConfig()
+        self.kind = kind_of(config.feature)
         self.intrinsics = config.intrinsics
         self.world = World(config)
         self._renderer = Renderer(self.world.client, self.intrinsics)
@@ -283,12 +278,13 @@ class Simulation:
         config = self.config
         if config.rendered:
             self.world.place_ball()
-        detection = self._detect()
+        detection, z = self._detect(), None
         if detection is not None:
-            detection = self._blurred(detection)
+            z = self._blurred(self.kind.of_body(detection.position_m, detection.rotation))
         seen = BallObservation(
             self.time_s,
             detection,
+            z,
             self.true_ball_position(),
             self.joints_rad,
             self._velocities,
@@ -361,18 +357,17 @@ class Simulation:
         radius_px = radius_m * self.intrinsics.fx / position[2]
         return BallDetection(self.as_seen(position), 1.0, 1.0, 0.0, float(radius_px))
 
-    def _blurred(self, seen: BallDetection | TagPose) -> BallDetection | TagPose:
-        """The detection with further noise."""
+    def _blurred(self, z: np.ndarray) -> np.ndarray:
+        """The measurement with further noise, of a rotation along its arc."""
+        rng, deviation_m = self._noise_rng, self.config.position_noise_m
+        if self.position_noise is None and deviation_m == 0.0:
+            return z
+        noise_m = np.zeros(self.kind.size)
         if self.position_noise is not None:
-            return replace(seen, position_m=seen.position_m + self.position_noise(self._noise_rng))
-        deviation_m = self.config.position_noise_m
-        if deviation_m == 0.0:
-            return seen
-        moved_m = self._noise_rng.normal(scale=deviation_m, size=3)
-        if isinstance(seen, TagPose):
-            turned = self._noise_rng.normal(scale=deviation_m / _NOISE_ARM_M, size=3)
-            seen = replace(seen, rotation=cv2.Rodrigues(turned)[0] @ seen.rotation)
-        return replace(seen, position_m=seen.position_m + moved_m)
+            noise_m[:3] = self.position_noise(rng)
+        else:
+            noise_m += rng.normal(scale=deviation_m, size=noise_m.size)
+        return self.kind.retract(z, noise_m)
 
     @property
     def _reported_intrinsics(self) -> Intrinsics:
@@ -399,24 +394,21 @@ class Simulation:
         """The tag as the camera sees it now. For evaluation only."""
         return self.world.tag_pose(self.camera)
 
-    def true_feature(self, feature: Feature) -> np.ndarray:
-        """The feature as the camera sees it now, m, (m,). For evaluation only."""
-        if not isinstance(feature, PoseFeature):
-            return self.true_ball_position()
+    def true_feature(self) -> np.ndarray:
+        """The feature as the camera sees it now, (m,). For evaluation only."""
         pose = self.true_tag_pose()
-        return feature.of(pose.position_m, pose.rotation)
+        return self.kind.of_body(pose.position_m, pose.rotation)
 
-    def true_task_jacobian(self, feature: Feature, joints_rad: np.ndarray) -> np.ndarray:
-        """Exact Jacobian of the task, m/rad, (d, n), at joints, rad, (n,)."""
-        if not isinstance(feature, PoseFeature):
-            return self.true_jacobian(joints_rad)
-        at, jacobian = self.true_chain(feature).position_and_jacobian(joints_rad)
-        return feature.to_task(at, jacobian)
+    def true_feature_jacobian(self, joints_rad: np.ndarray, kind: Kind | None = None) -> np.ndarray:
+        """Exact Jacobian of the feature, m/rad, (d, n), at joints, rad, (n,)."""
+        kind = kind or self.kind
+        return kind.moved_by(*self.true_chain(kind).motion(joints_rad))
 
-    def true_chain(self, feature: PoseFeature) -> SerialChain:
-        """The arm as the camera sees it now, with the tag. For evaluation only."""
+    def true_chain(self, kind: Kind | None = None) -> SerialChain:
+        """The arm as the camera sees it now, with ball or tag. For evaluation only."""
         back = self.camera.rotation.T
-        return self.world.pose_chain(feature).moved(back, -back @ self.camera.position_m)
+        chain = self.world.chain_with(kind or self.kind)
+        return chain.moved(back, -back @ self.camera.position_m)
 
     def true_jacobian(self, joints_rad: Sequence[float] | np.ndarray) -> np.ndarray:
         """Exact Jacobian of the ball's position in the camera frame, m/rad, shape (3, n).

@@ -18,6 +18,8 @@ _CELL_PX, _SAMPLES, _BLUR_PX = 16, 4, 0.6
 _INK, _PAPER, _NOISE = 20.0, 235.0, 2.0
 #: A print is seen where the depth is within this of its plane's, m.
 _NEAR_M = 0.006
+#: Kinds of features that are measured of a tag.
+TAGGED = ("pose",)
 #: Poses that an exposure is the mean of.
 _BLURRED = 5
 

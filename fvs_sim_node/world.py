@@ -20,15 +20,14 @@ from fvs_detector_node.images import Region
 from fvs_ros.arguments import how_to_install
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import PoseFeature
+from fvs_ros.kinds import Kind, kind_of
 from fvs_ros.rotations import quaternion_from_rotation
-from fvs_ros.topics import POSE
 from fvs_ros.urdf import UrdfJoint
 from fvs_sim_node.camera import CameraPose
 from fvs_sim_node.config import BALL_RGBA, SceneObject, SimConfig
 from fvs_sim_node.placement import Placement
 from fvs_sim_node.robot import moving_joints, robot_description, robot_of
-from fvs_sim_node.tag import TagPicture, exposed
+from fvs_sim_node.tag import TAGGED, TagPicture, exposed
 
 try:
     import pybullet
@@ -83,7 +82,7 @@ class World:
             self._prepare_links()
             for thing in config.objects:
                 self.add_object(thing)
-            self.tag = TagPicture(config.tag) if config.feature == POSE else None
+            self.tag = TagPicture(config.tag) if config.feature in TAGGED else None
             if self.tag is not None:  # the flange hides none of it
                 self._ball_offset_m += 0.5 * self.tag.tag.extent_m.max()
             self._ball = self._body(
@@ -298,18 +297,16 @@ class World:
     @cached_property
     def chain(self) -> SerialChain:
         """The arm's axes and its ball, world frame: the truth, for many joint angles at once."""
-        return self._chain(self._zero_ball_m)
+        return self.chain_with(kind_of("ball"))
 
-    def pose_chain(self, feature: PoseFeature) -> SerialChain:
-        """The same with the tag's pose."""
-        return self._chain(feature.of(self._zero_ball_m, self._zero_link @ self._mount))
-
-    def _chain(self, feature_m: np.ndarray) -> SerialChain:
+    def chain_with(self, kind: Kind) -> SerialChain:
+        """The same with what is measured of ball or tag."""
+        carried = kind.of_body(self._zero_ball_m, self._zero_link @ self._mount)
         zeros = np.zeros(len(self._joints))
         linear, axes = (one.T for one in self._jacobians(zeros))
         points_m = self._zero_ball_m + np.cross(axes, linear)
         axes = np.where(self._prismatic[:, None], linear, axes)
-        return SerialChain(axes, points_m, feature_m, zeros, self._prismatic)
+        return SerialChain(axes, points_m, carried, zeros, self._prismatic)
 
     # --------------------------------------------------- where to begin, and from where to watch
     @cached_property

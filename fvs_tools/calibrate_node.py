@@ -13,7 +13,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
+from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 
@@ -46,7 +46,7 @@ class CalibrateNode(ros.FvsNode):
         self._config = config = CalibrateConfig.from_values(self.values)
         self._path = Path(config.output_path)
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._feature = config.servoed
+        self._kind = config.kind
         self._timeline, self._samples = Timeline(), list[Sample]()
         self._arm: Kinematics | None = None
         self._joint_map: JointMap | None = None
@@ -58,7 +58,7 @@ class CalibrateNode(ros.FvsNode):
         self._last = self._done = False
         #: Why joints and feature are not taken; empty while they are.
         self._no_joints = f"no {topics.JOINT_STATES.name} yet"
-        self._no_feature = f"no {self._feature.seen.name} yet"
+        self._no_feature = f"no {self._kind.topics.tool.name} yet"
         self._began_s = inf
         self._reason = "waiting for the robot's description"
         self._transforms: Any = None
@@ -72,7 +72,7 @@ class CalibrateNode(ros.FvsNode):
         else:
             self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self.subscribe(self._feature.seen, self._on_feature)
+        self.subscribe(self._kind.topics.tool, self._on_feature)
         self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
@@ -104,15 +104,15 @@ class CalibrateNode(ros.FvsNode):
         self._no_joints = ""
         self._add(self._timeline.add_joints(stamp_s, joints))
 
-    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
-        feature, frame = self._feature, self._config.feature_frame
+    def _on_feature(self, message: Any) -> None:
+        kind, frame = self._kind, self._config.feature_frame
         try:
-            vector_m = ros.from_feature(message, feature, frame, feature.seen.name)
+            z = ros.from_feature(message, kind, frame, kind.topics.tool.name)
         except ros.MessageError as error:
             self._no_feature = str(error)
             raise
         self._no_feature = ""
-        self._add(self._timeline.add_feature(ros.from_stamp(message.header.stamp), vector_m))
+        self._add(self._timeline.add_image(ros.from_stamp(message.header.stamp), z))
 
     def _look(self) -> None:
         prefix = self._config.camera_topics
@@ -165,7 +165,6 @@ class CalibrateNode(ros.FvsNode):
                 joint_names=self._arm.names,
                 feature_frame=self._config.feature_frame,
                 feature=self._config.feature,
-                lever_arm_m=self._config.lever_arm_m,
             )
             self._job = self._worker.submit(calibrate, data, self._arm, self._config.camera_on_arm)
 

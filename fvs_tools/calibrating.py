@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fvs_ros.camera import CameraTopicsConfig
-from fvs_ros.feature import ServoedConfig
+from fvs_ros.kinds import KindConfig
 from fvs_ros.params import parameter
 
 
 @dataclass(frozen=True)
-class CalibrateConfig(ServoedConfig, CameraTopicsConfig):
+class CalibrateConfig(KindConfig, CameraTopicsConfig):
     """Parameters of ``fvs_calibrate_node``."""
 
     urdf_path: str = parameter("", "URDF of the arm; empty: robot_description")

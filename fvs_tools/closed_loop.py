@@ -7,7 +7,7 @@ bit-exact function of its configuration and seed.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -17,26 +17,25 @@ from fvs_controller_node.inbox import JACOBIAN
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.supervisor import Command
 from fvs_estimator_node.base import Estimator, OracleEstimator
-from fvs_estimator_node.files import MODELS, TrainedModel, load_model
+from fvs_estimator_node.files import TrainedModel, load_model
 from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.feature import PoseFeature, ServoedConfig
 from fvs_ros.interface import POSITION, PositionPath
+from fvs_ros.kinds import KindConfig, kind_of
 from fvs_ros.limits import with_urdf_limits
 from fvs_ros.paths import find_file
-from fvs_ros.topics import BALL
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.schemes import Scheme
 from fvs_tools.schemes import scheme as scheme_called
 
 #: The model that comes with the package, of a ball.
-MODEL = MODELS[BALL]
+MODEL = kind_of("ball").model
 
 
 @lru_cache(maxsize=4)
-def _load(name: str, joint_names: tuple[str, ...], servoed: ServoedConfig) -> TrainedModel:
-    return load_model(find_file(name), joint_names, servoed)
+def _load(name: str, joint_names: tuple[str, ...], feature: str) -> TrainedModel:
+    return load_model(find_file(name), joint_names, KindConfig(feature=feature))
 
 
 def make_estimator(
@@ -44,7 +43,7 @@ def make_estimator(
     simulation: Simulation,
     values: Mapping[str, Any] | None = None,
     model: str = "",
-    lever_arm_m: float = ServoedConfig.lever_arm_m,
+    lever_arm_m: float = KindConfig.lever_arm_m,
 ) -> Estimator:
     """Build an estimator by its name in the registry, as its node does.
 
@@ -52,14 +51,12 @@ def make_estimator(
     a name in the project's ``config`` folder; empty: that of the package. The oracle asks the
     simulation itself. The lever arm is the controller's.
     """
-    servoed = ServoedConfig(feature=simulation.config.feature, lever_arm_m=lever_arm_m)
+    kind = kind_of(simulation.config.feature, lever_arm_m)
     if method == "oracle":
-        feature = servoed.servoed
-        if isinstance(feature, PoseFeature):
-            return OracleEstimator(lambda joints: simulation.true_chain(feature).jacobian(joints))
-        return OracleEstimator(simulation.true_jacobian)
-    trained = _load(model or MODELS[servoed.feature], simulation.world.joint_names, servoed)
-    return create_estimator(method, trained.model, values or {}, trained.chain)
+        truth = partial(simulation.true_feature_jacobian, kind=kind)
+        return OracleEstimator(truth, kind=kind)
+    trained = _load(model or kind.model, simulation.world.joint_names, kind.name)
+    return create_estimator(method, trained.model, values or {}, trained.chain, kind)
 
 
 class ClosedLoop:
@@ -88,8 +85,8 @@ class ClosedLoop:
         own = {"autostart": True, "joint_names": list(joints), **(controller_values or {})}
         own["feature"] = simulation.config.feature
         self.loop = ServoLoop(with_urdf_limits(default_values(**own), joints))
-        self.feature = self.loop.supervisor.config.servoed
-        self.estimation = EstimationLoop(estimator, self.feature)
+        self.kind = self.loop.kind
+        self.estimation = EstimationLoop(estimator)
         self._path = PositionPath()
         self.period_s = 1.0 / simulation.config.joint_state_rate_hz
 
@@ -104,7 +101,7 @@ class ClosedLoop:
         one = scheme_called(scheme) if isinstance(scheme, str) else scheme
         simulation = simulation or Simulation()
         values = {"law": one.law, **one.controller_values, **controller_values}
-        lever_arm_m = values.get("lever_arm_m", ServoedConfig.lever_arm_m)
+        lever_arm_m = values.get("lever_arm_m", KindConfig.lever_arm_m)
         estimator = make_estimator(
             one.method, simulation, one.estimator_values, lever_arm_m=lever_arm_m
         )
@@ -117,19 +114,17 @@ class ClosedLoop:
 
     @property
     def true_feature(self) -> np.ndarray:
-        """The feature as it truly is, camera frame, m, shape (m,)."""
-        return self.simulation.true_feature(self.feature)
+        """The feature as it truly is, camera frame, (m,)."""
+        return self.simulation.true_feature()
 
     def tick(self) -> Command:
         """Advance by one joint-state period and tick the controller; returns its command."""
         out = self.simulation.advance()
         now_s = out.time_s
         for seen in out.observations:
-            position_m = seen.feature_m(self.feature)
-            if position_m is None:
-                continue
-            self.estimation.add_feature(seen.stamp_s, position_m)
-            self.loop.add_feature(now_s, seen.stamp_s, position_m)
+            if seen.z is not None:
+                self.estimation.add_image(seen.stamp_s, seen.z)
+                self.loop.add_image(now_s, seen.stamp_s, seen.z)
         self.estimation.add_joints(now_s, out.joints_rad)
         problem, chain = self.estimation.problem, self.estimator.chain
         if not problem:
@@ -154,8 +149,8 @@ class ClosedLoop:
         for _ in range(round(seconds / self.period_s)):
             self.tick()
 
-    def set_target(self, target_m: np.ndarray) -> None:
-        """Give the controller a target, camera frame, m, shape (m,).
+    def set_target(self, target: np.ndarray) -> None:
+        """Give the controller a target, camera frame, (m,).
 
         Raises
         ------
@@ -163,7 +158,7 @@ class ClosedLoop:
             If the controller refuses it; the text says why.
         """
         accepted, text = self.loop.add_target(
-            np.asarray(target_m, dtype=float), CAMERA_FRAME, self.simulation.time_s
+            np.asarray(target, dtype=float), CAMERA_FRAME, self.simulation.time_s
         )
         if not accepted:
             raise ValueError(text)

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 
 from fvs_ros.camera import Intrinsics
-from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
+from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.params import parameter
-from fvs_ros.rotations import rotation_from_quaternion
-from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge, way_and_arc_m
+from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge, largest_part_m
 
 
 @dataclass(frozen=True)
-class DemoConfig(ServoedConfig):
+class DemoConfig(KindConfig):
     """Parameters of ``fvs_demo_node``."""
 
     model_path: str = parameter(
@@ -49,27 +48,33 @@ START_TIMEOUT_S = 30.0
 
 
 def choose_target(
-    candidates_m: np.ndarray, position_m: np.ndarray, distance_m: float, rng: np.random.Generator
+    kind: Kind,
+    candidates: np.ndarray,
+    z: np.ndarray,
+    distance_m: float,
+    rng: np.random.Generator,
 ) -> np.ndarray:
-    """A target about ``distance_m`` from where the feature is, shape (m,), m, camera frame.
+    """A target about ``distance_m`` from where the feature is, (m,), camera frame.
 
     It is one of the candidates, shape (n, m): where the feature has been.
     """
-    mismatch_m = np.abs(np.linalg.norm(candidates_m - position_m, axis=1) - distance_m)
+    apart_m = np.linalg.norm((candidates - z) * kind.weights, axis=1)
+    mismatch_m = np.abs(apart_m - distance_m)
     fitting = np.flatnonzero(mismatch_m <= max(_DISTANCE_TOLERANCE_M, mismatch_m.min()))
-    return candidates_m[rng.choice(fitting)]
+    return candidates[rng.choice(fitting)]
 
 
-def given_targets(text: str, feature: Feature) -> list[np.ndarray]:
+def given_targets(text: str, kind: Kind) -> list[np.ndarray]:
     """The targets of ``target_positions``, (m,) each; a ``ValueError`` if they are none."""
-    targets, is_pose = [], isinstance(feature, PoseFeature)
+    targets = []
     for part in filter(str.strip, text.split(";")):
-        numbers, expected = np.array(part.split(), dtype=float), 7 if is_pose else 3
-        if len(numbers) != expected or not np.isfinite(numbers).all():
-            raise ValueError(f"target_positions: expected {expected} finite numbers, got {part!r}")
-        if isinstance(feature, PoseFeature):
-            numbers = feature.of(numbers[:3], rotation_from_quaternion(numbers[3:]))
-        targets.append(numbers)
+        try:
+            numbers = np.array(part.split(), dtype=float)
+            if not np.isfinite(numbers).all():
+                raise ValueError("expected finite numbers")
+            targets.append(kind.parse(numbers))
+        except ValueError as error:
+            raise ValueError(f"target_positions: {part!r}: {error}") from error
     return targets
 
 
@@ -77,28 +82,26 @@ def given_targets(text: str, feature: Feature) -> list[np.ndarray]:
 class TargetRecord:
     """Record of the motion to one target, camera frame, shape (m,), since it was given."""
 
-    feature: Feature
-    target_m: np.ndarray
+    kind: Kind
+    target: np.ndarray
     start_s: float
     #: Whether late inputs held the arm.
     slowed: bool = False
-    #: Moments, s, and true features, m.
+    #: Moments, s, and true features.
     seen: list[tuple[float, np.ndarray]] = field(default_factory=list)
     #: Moments, s, and joint velocities, rad/s.
     joints: list[tuple[float, np.ndarray]] = field(default_factory=list)
 
     def errors_m(self) -> tuple[np.ndarray, np.ndarray]:
-        """Moments, s, (n,), and task errors, m, (n, d)."""
+        """Moments, s, (n,), and errors, m, (n, d)."""
         times_s, features = zip(*self.seen, strict=True)
-        return np.array(times_s), np.array(
-            [self.feature.error(one, self.target_m) for one in features]
-        )
+        return np.array(times_s), np.array([self.kind.minus(z, self.target) for z in features])
 
 
 def score(record: TargetRecord) -> TargetScore:
     """Score one target by the truth."""
     velocities = np.array([velocity for _, velocity in record.joints])
-    return judge(record.feature, *record.errors_m(), velocities)
+    return judge(record.kind, *record.errors_m(), velocities)
 
 
 def table(scores: Sequence[TargetScore], notes: Sequence[str]) -> str:
@@ -125,7 +128,7 @@ def write_results(folder: Path, records: list[TargetRecord], scores: list[Target
     """Write ``results.json``."""
     folder.mkdir(parents=True, exist_ok=True)
     content = [
-        {"target_m": record.target_m.tolist(), **asdict(one)}
+        {"target_m": record.target.tolist(), **asdict(one)}
         for record, one in zip(records, scores, strict=True)
     ]
     (folder / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -161,25 +164,23 @@ def draw(
         view.imshow(image_rgb)
     for number, (record, colour) in enumerate(zip(records, colours, strict=True), start=1):
         time_s, errors_m = record.errors_m()
-        larger_mm = 1e3 * np.maximum(*way_and_arc_m(errors_m))
+        larger_mm = 1e3 * largest_part_m(record.kind, errors_m)
         axes["error"].semilogy(time_s, larger_mm, color=colour, label=f"target {number}")
         axes["speed"].axvline(record.start_s - origin_s, color=colour, linewidth=1.5, alpha=0.7)
         if intrinsics is not None:
             trail_m = np.array([feature_m[:3] for _, feature_m in record.seen])
             view.plot(*intrinsics.project(trail_m).T, color=colour)
-            at = intrinsics.project(record.target_m[:3])
-            _draw_axes(view, intrinsics, record.feature, record.target_m)
+            at = intrinsics.project(record.target[:3])
+            _draw_axes(view, intrinsics, record.kind, record.target)
             view.plot(*at, "+", color="white", markersize=15, markeredgewidth=4)
             view.plot(*at, "+", color=colour, markersize=14, markeredgewidth=2)
             view.set(xlim=(0, intrinsics.width), ylim=(intrinsics.height, 0))
     axes["error"].axhline(SETTLED_ERROR_M * 1e3, color="0.4", linestyle="--", linewidth=1)
     moments = [(r.start_s - origin_s + t_s, speeds) for r in records for t_s, speeds in r.joints]
     axes["speed"].plot(*zip(*moments, strict=True), linewidth=1, label=list(joint_names))
-    what, of_arc = "ball", ""
-    if isinstance(records[0].feature, PoseFeature):
-        what, of_arc = "tag", f", or arc at {records[0].feature.lever_arm_m:g} m if it is longer"
+    what = records[0].kind.what
     axes["error"].set(
-        ylabel="true error (mm)", title=f"Distance of the {what} to its target{of_arc}"
+        ylabel="true error (mm)", title=f"{what.capitalize()} to its target, largest part"
     )
     axes["speed"].set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
     view.set_title(f"Camera view at the end, trail of the {what}, targets (+)")
@@ -191,11 +192,8 @@ def draw(
     plt.close(figure)
 
 
-def _draw_axes(view: Any, intrinsics: Intrinsics, feature: Feature, feature_m: np.ndarray) -> None:
-    """Draw the axes of a pose: x red, y green, z blue."""
-    if not isinstance(feature, PoseFeature):
-        return
-    origin_m, turn = feature_m[:3], feature.rotation(feature_m)
-    for axis, colour in zip(turn.T, ("tab:red", "tab:green", "tab:blue"), strict=True):
-        ends = intrinsics.project(np.stack([origin_m, origin_m + _AXIS_M * axis]))
-        view.plot(*ends.T, color=colour, linewidth=2)
+def _draw_axes(view: Any, intrinsics: Intrinsics, kind: Kind, z: np.ndarray) -> None:
+    """Draw the directions of a feature: x red, y green, z blue."""
+    for axis, colour in zip(kind.directions(z), ("tab:red", "tab:green", "tab:blue"), strict=False):
+        tip_m = z[:3] + _AXIS_M * axis / np.linalg.norm(axis)
+        view.plot(*intrinsics.project(np.stack([z[:3], tip_m])).T, color=colour, linewidth=2)

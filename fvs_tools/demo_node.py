@@ -8,14 +8,14 @@ stop.listen()
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped, PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_srvs.srv import Trigger
 
-from fvs_estimator_node.files import MODELS, load_model
+from fvs_estimator_node.files import load_model
 from fvs_ros import ros, topics
 from fvs_ros.camera import Intrinsics
 from fvs_ros.joints import JointMap
@@ -35,12 +35,11 @@ class DemoNode(ros.FvsNode):
         super().__init__("fvs_demo_node", demo.PARAMETERS)
         self._config = demo.DemoConfig.from_values(self.values)
         config = self._config
-        self._feature = feature = config.servoed
-        path = find_file(config.model_path or MODELS[config.feature])
-        trained = load_model(path, servoed=config)
-        self._candidates_m, names = trained.ball_samples_m, trained.joint_names
-        self._own_m = demo.given_targets(config.target_positions, feature)
-        self._count = len(self._own_m) or self._config.targets
+        self._kind = kind = config.kind
+        trained = load_model(find_file(config.model_path or kind.model), expected=config)
+        self._candidates, names = trained.ball_samples_m, trained.joint_names
+        self._own = demo.given_targets(config.target_positions, kind)
+        self._count = len(self._own) or self._config.targets
         self._rng = np.random.default_rng(self._config.seed)
         self._joint_map = JointMap(names)
         self._records: list[demo.TargetRecord] = []
@@ -52,10 +51,10 @@ class DemoNode(ros.FvsNode):
         self._image_asked_s: float | None = None
         self._end_s = 0.0  # stamp of the end
         self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
-        self._target = self.publisher(feature.target)
+        self._target = self.publisher(kind.topics.target)
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
-        kind = PoseStamped if feature.truth is topics.TRUE_TOOL_POSE else PointStamped
-        self.watch(kind, feature.truth.name, self._on_truth, ros.QOS_EVERY)
+        truth = kind.topics.truth
+        self.watch(ros.message_class(truth.type), truth.name, self._on_truth, ros.QOS_EVERY)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
 
@@ -79,40 +78,36 @@ class DemoNode(ros.FvsNode):
             moment_s = ros.from_stamp(message.header.stamp) - record.start_s
             record.joints.append((moment_s, velocity))
 
-    def _on_truth(self, message: PointStamped | PoseStamped) -> None:
+    def _on_truth(self, message: Any) -> None:
         if self._image_asked_s is not None:
             return
         stamp_s = ros.from_stamp(message.header.stamp)
-        feature, frame = self._feature, self._config.feature_frame
-        position_m = ros.from_feature(message, feature, frame, feature.truth.name)
+        kind, frame = self._kind, self._config.feature_frame
+        z = ros.from_feature(message, kind, frame, kind.topics.truth.name)
         if not self._records:
             # The controller lacks only a target: the loop is ready for the first one.
             if self._wants_target:
-                self._next_target(stamp_s, position_m)
+                self._next_target(stamp_s, z)
             return
         record = self._records[-1]
-        record.seen.append((stamp_s - record.start_s, position_m))
+        record.seen.append((stamp_s - record.start_s, z))
         if record.seen[-1][0] >= self._config.target_s:
             self._report(len(self._records), record)
             if len(self._records) < self._count:
-                self._next_target(stamp_s, position_m)
+                self._next_target(stamp_s, z)
             else:
                 self._ask_image(stamp_s)
 
     # --- the task ---
 
-    def _next_target(self, stamp_s: float, position_m: np.ndarray) -> None:
-        if len(self._own_m):
-            target_m = self._own_m[len(self._records)]
+    def _next_target(self, stamp_s: float, z: np.ndarray) -> None:
+        kind, config = self._kind, self._config
+        if len(self._own):
+            target = self._own[len(self._records)]
         else:
-            target_m = demo.choose_target(
-                self._candidates_m, position_m, self._config.distance_m, self._rng
-            )
-        feature, frame = self._feature, self._config.feature_frame
-        self._target.publish(ros.to_feature(stamp_s, frame, feature, target_m))
-        self._records.append(
-            demo.TargetRecord(feature, target_m, stamp_s, seen=[(0.0, position_m)])
-        )
+            target = demo.choose_target(kind, self._candidates, z, config.distance_m, self._rng)
+        self._target.publish(ros.to_feature(stamp_s, config.feature_frame, kind, target))
+        self._records.append(demo.TargetRecord(kind, target, stamp_s, seen=[(0.0, z)]))
 
     def _report(self, number: int, record: demo.TargetRecord) -> None:
         one = demo.score(record)
@@ -131,7 +126,7 @@ class DemoNode(ros.FvsNode):
             reason = self._reason or "no status from the controller; is it running?"
             print(f"the loop did not get ready: {self._state} {reason}", flush=True)
             self.exit_code = stop.EXIT_FAILURE
-        late_s = self.monitor(self._feature.truth.name).age_s(self.now_s())
+        late_s = self.monitor(self._kind.topics.truth.name).age_s(self.now_s())
         if self._records and self._image_asked_s is None and late_s > _SILENCE_S:
             print(f"the simulator has been silent for {late_s:.0f} s", flush=True)
             self.exit_code = stop.EXIT_FAILURE

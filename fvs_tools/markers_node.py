@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Point, PointStamped, PoseStamped, TransformStamped
+from geometry_msgs.msg import Point, PoseStamped, TransformStamped
 from rclpy.duration import Duration
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fvs_ros import ros, topics
+from fvs_ros.kinds.pose import Pose
 from fvs_ros.status import number, vector
 from fvs_tools.observing import MARKERS_PARAMETERS, MarkersConfig
 
@@ -48,8 +49,8 @@ class MarkersNode(ros.FvsNode):
         self._status_s = float("-inf")
         self._markers = self.publisher(topics.MARKERS)
         self._transforms: Any = None
-        self._feature = self._config.servoed
-        self.subscribe(self._feature.seen, self._on_feature)
+        self._kind = self._config.kind
+        self.subscribe(self._kind.topics.tool, self._on_feature)
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
         self.subscribe(topics.TRUE_CAMERA_POSE, self._on_camera_pose)
         self.create_timer(_PERIOD_S, self._show, clock=self.steady_clock)
@@ -57,9 +58,9 @@ class MarkersNode(ros.FvsNode):
 
     # --- inputs ---
 
-    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
-        feature, frame = self._feature, self._config.feature_frame
-        x, y, z, *_ = ros.from_feature(message, feature, frame, feature.seen.name).tolist()
+    def _on_feature(self, message: Any) -> None:
+        kind, frame = self._kind, self._config.feature_frame
+        x, y, z, *_ = ros.from_feature(message, kind, frame, kind.topics.tool.name).tolist()
         self._trail.append((self.steady_s(), Point(x=x, y=y, z=z)))
         self._forget()
 
@@ -77,7 +78,8 @@ class MarkersNode(ros.FvsNode):
                 "choose the camera's frame as the viewer's fixed frame (a recording has it)",
             )
             return
-        ros.from_pose(message, topics.TRUE_CAMERA_POSE.name)  # an error if it is none
+        frame = message.header.frame_id
+        ros.from_feature(message, Pose(), frame, topics.TRUE_CAMERA_POSE.name)  # an error if none
         if self._transforms is None:
             self._transforms = self.publisher(topics.TF_STATIC)
         transform = TransformStamped(

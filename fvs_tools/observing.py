@@ -9,12 +9,12 @@ from pathlib import Path
 
 from fvs_ros.arguments import how_to_install
 from fvs_ros.camera import BallConfig, FeatureConfig
-from fvs_ros.feature import ServoedConfig
+from fvs_ros.kinds import KindConfig
 from fvs_ros.params import parameter
 
 
 @dataclass(frozen=True)
-class MarkersConfig(BallConfig, ServoedConfig):
+class MarkersConfig(BallConfig, KindConfig):
     """Parameters of ``fvs_markers_node``."""
 
 

@@ -12,16 +12,17 @@ import numpy as np
 
 from fvs_estimator_node.chain_start import LEAST_RUN, MAX_OFFSET_S
 from fvs_estimator_node.files import DataSet, data_set_of
-from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.kinds import KINDS, Kind
 from fvs_ros.ros import from_camera_info, from_feature, from_stamp
 from fvs_ros.ros.images import from_color
 from fvs_ros.timeline import History, Sample, Timeline
-from fvs_ros.topics import BALL, BALL_POSITION, JOINT_STATES, POSE, TOOL_POSE
+from fvs_ros.topics import JOINT_STATES
 from fvs_tools.bag_reader import BagReader, open_bag
 from fvs_tools.overlay import Photograph
 
-_POINT, _POSE = "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped"
+#: Kinds by the type of their message.
+_KINDS = {kind.topics.tool.type: kind() for kind in KINDS.values()}
 _JOINTS, _IMAGE = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Image"
 #: Joints that move by less, rad (m), stand still: some times an encoder's noise.
 _REST_RAD = 1e-3
@@ -51,14 +52,15 @@ def read_data_set(
     with open_bag(path) as reader:
         types = {one.topic: one.msgtype for one in reader.connections}
         joints = _topic(types, joint_states, (_JOINTS,), (JOINT_STATES.name,))
-        feature = _topic(types, seen, (_POINT, _POSE), (BALL_POSITION.name, TOOL_POSE.name))
+        tools = [kind.topics.tool for kind in KINDS.values()]
+        feature = _topic(types, seen, [*_KINDS], [topic.name for topic in tools])
         wanted = [one for one in reader.connections if one.topic in (joints, feature)]
         messages = [
             (connection.topic == joints, reader.deserialize(raw, connection.msgtype))
             for connection, _, raw in reader.messages(wanted)
         ]
         notes = ["the bag was cut off, or a part of it is missing"] * reader.cut_off
-    return _paired(messages, names, types[feature] == _POSE, path, notes)
+    return _paired(messages, names, _KINDS[types[feature]], path, notes)
 
 
 def read_photograph(path: Path, frame: str) -> Photograph | None:
@@ -106,12 +108,11 @@ def _topic(types: dict[str, str], given: str, kinds: Sequence[str], names: Seque
 def _paired(
     messages: Sequence[tuple[bool, Any]],
     arm: Sequence[str],
-    is_pose: bool,
+    kind: Kind,
     path: Path,
     notes: list[str],
 ) -> DataSet:
     """Pair each feature with the joints at its stamp."""
-    feature = PoseFeature(ServoedConfig.lever_arm_m) if is_pose else Feature()
     frames = {message.header.frame_id for is_joints, message in messages if not is_joints}
     if len(frames) > 1:
         raise ValueError(
@@ -135,8 +136,8 @@ def _paired(
                 problems.append(str(error))
         else:
             with suppress(ValueError):  # no position, or no pose
-                vector_m = from_feature(message, feature, message.header.frame_id, "ball or tag")
-                new = timeline.add_feature(stamp_s, vector_m)
+                z = from_feature(message, kind, message.header.frame_id, "ball or tag")
+                new = timeline.add_image(stamp_s, z)
         samples += new
         rests += [_at_rest(timeline.joints, one) for one in new]
     if problems:
@@ -156,8 +157,7 @@ def _paired(
         samples,
         joint_names=names,
         feature_frame=frames.pop(),
-        feature=POSE if is_pose else BALL,
-        lever_arm_m=ServoedConfig.lever_arm_m,
+        feature=kind.name,
         provenance={"bag": path.name, "left_out": "; ".join(notes)},
         still=still,
     )

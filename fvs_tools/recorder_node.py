@@ -19,7 +19,7 @@ import yaml
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from fvs_ros import ros, topics
+from fvs_ros import contract, ros, topics
 from fvs_ros.paths import version
 from fvs_tools import observing
 from fvs_tools.observing import LARGE, RecorderConfig, is_recorded
@@ -96,7 +96,7 @@ class RecorderNode(ros.FvsNode):
         Returns those that were remapped: their full names as declared, and as they are here.
         """
         remaps = {}
-        for topic in topics.TOPICS:
+        for topic in contract.TOPICS:
             for node, end in topic.publishers.items():
                 own = topic.name.replace("~", node, 1)
                 declared = topics.resolve(own, "", self.get_namespace())

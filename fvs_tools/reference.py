@@ -20,7 +20,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from fvs_controller_node.config import LAWS
 from fvs_controller_node.reasons import Reason
 from fvs_estimator_node.registry import ESTIMATORS
-from fvs_ros import stop, topics
+from fvs_ros import contract, stop, topics
 from fvs_ros.params import Parameter
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_ros.topics import NODES, End, Topic
@@ -44,7 +44,13 @@ def page() -> str:
     functions = (sentence, readable, plain_type, default_text, sources, sinks, only)
     named = {one.__name__: one for one in (*functions, parameter_groups)}
     return _rendered(
-        "reference.md.jinja", named, NODE_TABLE=NODE_TABLE, Reason=Reason, stop=stop, topics=topics
+        "reference.md.jinja",
+        named,
+        NODE_TABLE=NODE_TABLE,
+        Reason=Reason,
+        stop=stop,
+        topics=topics,
+        contract=contract,
     )
 
 
@@ -163,15 +169,15 @@ def policy(namespace: str = "") -> str:
     """The SROS2 policy of nodes in a namespace: who may publish, subscribe and serve what (XML)."""
     enclaves, everything, services = {}, set(topics.EVERY_NODE_PUBLISHES), set()
     for name, node in NODES.items():
-        published = {topic.name for topic in topics.publishers(name)}
-        subscribed = {topic.name for topic in topics.subscribers(name)}
+        published = {topic.name for topic in contract.publishers(name)}
+        subscribed = {topic.name for topic in contract.subscribers(name)}
         if node.subscribes_to_all:
             subscribed.add("/*")
         served = {*node.serves, *topics.EVERY_NODE_SERVES}
         enclaves[name] = _rules(published, subscribed, served, node.calls)
         everything |= {one.replace("~", name, 1) for one in published}
         services |= {one.replace("~", name, 1) for one in served}
-    sent = {topic.name for topic in topics.TOPICS if topic.also_from == topics.YOU}
+    sent = {topic.name for topic in contract.TOPICS if topic.also_from == topics.YOU}
     enclaves[OPERATOR] = _rules(sent, everything, (), services)
     names = {"resolve": topics.resolve}
     return _rendered("policy.xml.jinja", names, enclaves=enclaves, namespace=namespace.strip("/"))

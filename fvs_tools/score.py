@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_ros.feature import Feature
+from fvs_ros.kinds import Kind
 
 #: The final error is that of the last second, s.
 FINAL_S = 1.0
@@ -33,30 +33,30 @@ class TargetScore:
         return f"{self.final_rms_m * 1e3:.2f} mm{angle}"
 
 
-def way_and_arc_m(errors_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ways and, of poses, arcs at the lever arm of task errors, m, (n, d): (n,) each."""
-    return np.linalg.norm(errors_m[:, :3], axis=1), np.linalg.norm(errors_m[:, 3:], axis=1)
-
-
 def judge(
-    feature: Feature, time_s: np.ndarray, errors_m: np.ndarray, joint_velocity_rad_s: np.ndarray
+    kind: Kind, time_s: np.ndarray, errors_m: np.ndarray, joint_velocity_rad_s: np.ndarray
 ) -> TargetScore:
-    """Judge the way to one target; a pose has settled with both way and arc.
+    """Judge the motion to one target, which has settled with the largest part of its error.
 
-    Times since it was given, (n,), and task errors, m, (n, d); joint velocities, (k, joints).
+    Times since it was given, (n,), and errors, m, (n, d); joint velocities, (k, joints).
     """
-    way_m, arc_m = way_and_arc_m(errors_m)
-    final = time_s >= time_s[-1] - FINAL_S
-    longer_m = np.maximum(way_m, arc_m)
-    final_rad = _rms(arc_m[final]) / feature.task_scale[-1]
+    final, longer_m = time_s >= time_s[-1] - FINAL_S, largest_part_m(kind, errors_m)
+    way_m, arc_m = (kind.parts_m(errors_m).get(name) for name in ("way_m", "arc_m"))
+    assert way_m is not None
+    final_rad = None if arc_m is None else _rms(arc_m[final]) / kind.lever_arm_m
     return TargetScore(
         start_distance_m=float(way_m[0]),
         settling_5mm_s=settling_time_s(time_s, longer_m, SETTLED_ERROR_M),
         settling_2mm_s=settling_time_s(time_s, longer_m, FINE_ERROR_M),
         final_rms_m=_rms(way_m[final]),
         peak_joint_speed_rad_s=float(np.max(np.abs(joint_velocity_rad_s), initial=0.0)),
-        final_rms_deg=float(np.degrees(final_rad)) if errors_m.shape[1] > 3 else None,
+        final_rms_deg=None if final_rad is None else float(np.degrees(final_rad)),
     )
+
+
+def largest_part_m(kind: Kind, errors_m: np.ndarray) -> np.ndarray:
+    """Length of the largest part of each error, m, (n, d): (n,)."""
+    return np.max(list(kind.parts_m(errors_m).values()), axis=0)
 
 
 def _rms(values: np.ndarray) -> float:

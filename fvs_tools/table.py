@@ -18,10 +18,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fvs_estimator_node.files import DataSet, data_set_of
-from fvs_ros.feature import PoseFeature, ServoedConfig
+from fvs_ros.kinds import kind_of
 from fvs_ros.rotations import rotation_from_quaternion
 from fvs_ros.timeline import Sample, Timeline
-from fvs_ros.topics import BALL, POSE
 from fvs_ros.urdf import Kinematics
 
 _STAMP, _POSE = "stamp_s", ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -100,14 +99,13 @@ def _data_set(
     joints, images, arm = joints[moved], images[seen], None
     if of_hand:
         arm, joints = _as_arm(joints)
-    if of_pose:
-        of = PoseFeature(ServoedConfig.lever_arm_m).of
-        images = np.array([of(one[:3], rotation_from_quaternion(one[3:])) for one in images])
+    kind = kind_of("pose" if of_pose else "ball")
+    images = np.array([kind.parse(numbers) for numbers in images])
     timeline, samples = Timeline(), list[Sample]()
     events = [(float(stamp), 0, one) for stamp, one in zip(stamps_s[moved], joints, strict=True)]
     events += [(float(stamp), 1, one) for stamp, one in zip(stamps_s[seen], images, strict=True)]
     for stamp_s, of_image, values in sorted(events, key=lambda event: event[:2]):
-        samples += (timeline.add_feature if of_image else timeline.add_joints)(stamp_s, values)
+        samples += (timeline.add_image if of_image else timeline.add_joints)(stamp_s, values)
     if not samples or (not timed and len(samples) < len(table)):
         raise ValueError(
             f"{len(samples)} of {np.count_nonzero(seen)} images have an arm at their time, in "
@@ -116,8 +114,7 @@ def _data_set(
     data = data_set_of(
         samples,
         joint_names=joint_names if arm is None else arm.names,
-        feature=POSE if of_pose else BALL,
-        lever_arm_m=ServoedConfig.lever_arm_m,
+        feature=kind.name,
         provenance={"table": source},
         still=not timed,
     )

@@ -18,7 +18,7 @@ from fvs_estimator_node.training import METHODS, TrainingOptions, train
 from fvs_ros import console
 from fvs_ros.arguments import Parser, one_of
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import Feature
+from fvs_ros.kinds import Kind, kind_of
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_tools.table import read_table
 
@@ -141,7 +141,7 @@ def report(trained: TrainedModel) -> str:
                 trained.chain,
                 trained.joint_names,
                 trained.joint_box_rad.mean(axis=0),
-                trained.servoed,
+                trained.kind,
             ),
         ]
     low, high = (", ".join(f"{v:.2f}" for v in side) for side in trained.joint_box_rad)
@@ -157,12 +157,11 @@ def on_joints(
     chain: SerialChain,
     names: Sequence[str],
     joints_rad: np.ndarray,
-    feature: Feature | None = None,
+    kind: Kind | None = None,
 ) -> Iterator[str]:
     """How each joint moves ball or tag, and what cannot be servoed, at given joints, rad (m)."""
-    feature = feature or Feature()
-    what = feature.what
-    jacobian = feature.to_task(*chain.position_and_jacobian(joints_rad))
+    kind = kind or kind_of("ball")
+    what, jacobian = kind.what, kind.moved_by(*chain.motion(joints_rad))
     sizes, units = np.linalg.norm(jacobian, axis=0), np.where(chain.prismatic > 0.0, "m/m", "m/rad")
     each = zip(names, sizes, units, strict=True)
     yield f"joints move the {what} by " + ", ".join(f"{n} {s:.2f} {u}" for n, s, u in each)

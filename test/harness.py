@@ -29,6 +29,7 @@ from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.kinds.ball import Ball
 
 _BEGAN_S = time.time()
 #: How many times as long everything takes here as on a good computer.
@@ -295,7 +296,7 @@ class PlayedRobot:
             topic.name: node.create_publisher(kind, topic.name, qos)
             for kind, topic in (
                 (JointState, topics.JOINT_STATES),
-                (PointStamped, topics.BALL_POSITION),
+                (PointStamped, Ball.topics.tool),
                 (Float64MultiArray, topics.JACOBIAN),
             )
         }
@@ -332,7 +333,7 @@ class PlayedRobot:
         self._send(topics.JACOBIAN.name, ros.to_jacobian(self.jacobian))
 
     def _look(self) -> None:
-        self._send(topics.BALL_POSITION.name, ros.to_point(self.now_s(), self.FRAME, self.ball))
+        self._send(Ball.topics.tool.name, ros.to_point(self.now_s(), self.FRAME, self.ball))
 
     def meet_controller(self) -> None:
         """Wait until the controller hears this robot, and the robot the controller."""

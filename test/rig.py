@@ -20,6 +20,7 @@ from wire import PREFIX, Wire
 
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.kinds.ball import Ball
 
 SIMULATOR, ESTIMATOR, CONTROLLER = "fvs_sim_node", "fvs_estimator_node", "fvs_controller_node"
 
@@ -50,7 +51,7 @@ _PARAMETERS = {
 }
 _WIRED = {
     topics.JOINT_STATES.name: JointState,
-    topics.BALL_POSITION.name: PointStamped,
+    Ball.topics.tool.name: PointStamped,
     topics.JACOBIAN.name: Float64MultiArray,
     topics.ROBOT_PROGRAM_RUNNING.name: Bool,
 }
@@ -140,12 +141,12 @@ class Rig:
         joints.listeners.append(self.states.append)
         # What is late on any wire goes on at the rate of the joint states.
         joints.listeners.append(lambda _: [wire.deliver() for wire in self.wires.values()])
-        self.wires[topics.BALL_POSITION.name].listeners.append(self.balls.append)
+        self.wires[Ball.topics.tool.name].listeners.append(self.balls.append)
         self.processes = {name: self.start_node(name) for name in _PARAMETERS}
         self.wait(lambda: self.reason() == "NO_TARGET", 60.0, "all inputs")
         self.target_m = TARGETS[0]
         self._targets = self.harness.publisher(
-            PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
+            PointStamped, Ball.topics.target.name, ros.QOS_LATCHED
         )
 
     def close(self) -> None:
@@ -317,11 +318,11 @@ class Loop:
         where = f"{namespace}/" if namespace else ""
         self.harness = harness
         self.commands = harness.collect(Float64MultiArray, where + topics.COMMANDS.name)
-        self.balls = harness.collect(PointStamped, where + topics.BALL_POSITION.name)
+        self.balls = harness.collect(PointStamped, where + Ball.topics.tool.name)
         self.statuses = harness.collect(DiagnosticStatus, f"{where}{CONTROLLER}/status")
         # Not latched: the controller would hear each target of a moving one twice.
         self._targets = harness.node.create_publisher(
-            PointStamped, where + topics.TARGET_POSITION.name, ros.QOS_RELIABLE
+            PointStamped, where + Ball.topics.target.name, ros.QOS_RELIABLE
         )
         harness.spin_until(self.waits_for_a_target, 60.0, "all inputs")
 

@@ -19,8 +19,8 @@ from collections import deque
 import numpy as np
 
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import Feature, PoseFeature
 from fvs_ros.joints import UR_JOINT_NAMES as NAMES
+from fvs_ros.kinds import Kind, kind_of
 from fvs_ros.rotations import rotation_from_vector
 
 #: Half width of the joints' box, rad: how far a collection may go.
@@ -58,20 +58,19 @@ def draw_arm(rng: np.random.Generator) -> SerialChain:
             return arm
 
 
-def with_tag(arm: SerialChain, feature: PoseFeature, rng: np.random.Generator) -> SerialChain:
+def with_tag(arm: SerialChain, kind: Kind, rng: np.random.Generator) -> SerialChain:
     """The arm with one more axis near the ball, and a tag in its place that can be turned."""
     while True:
         axis, aside, turn = rng.standard_normal((3, 3))
         found = SerialChain(
             np.vstack([arm.axes, axis]),
             np.vstack([arm.points_m, arm.feature_m + 0.1 * aside]),
-            feature.of(arm.feature_m, rotation_from_vector(turn)),
+            kind.of_body(arm.feature_m, rotation_from_vector(turn)),
             np.append(arm.reference_rad, 0.2),
         )
         box = found.reference_rad + 0.5 * rng.uniform(-1.0, 1.0, (40, 7))
-        at, jacobians = found.position_and_jacobian(box)
-        tasks = [feature.to_task(*one) for one in zip(at, jacobians, strict=True)]
-        if np.linalg.svd(tasks, compute_uv=False)[:, -1].min() > 0.1:
+        jacobians = kind.moved_by(*found.motion(box))
+        if np.linalg.svd(jacobians, compute_uv=False)[:, -1].min() > 0.1:
             return found
 
 
@@ -82,10 +81,10 @@ class UnseenRobot:
 
     def __init__(self, seed: int, pose: bool = False) -> None:
         self._rng = np.random.default_rng([seed, 77])
-        self.arm, self.feature, self.names = draw_arm(self._rng), Feature(), [*NAMES]
+        self.arm, self.kind, self.names = draw_arm(self._rng), kind_of("ball"), [*NAMES]
         if pose:
-            self.feature, self.names = PoseFeature(ARM_M), [*NAMES, "wrist_4_joint"]
-            self.arm = with_tag(draw_arm(self._rng), self.feature, self._rng)
+            self.kind, self.names = kind_of("pose", ARM_M), [*NAMES, "wrist_4_joint"]
+            self.arm = with_tag(draw_arm(self._rng), self.kind, self._rng)
         self.joints_rad = self.arm.reference_rad.copy()
         self.command_rad_s = np.zeros(self.joints_rad.size)
         self._velocity = self.command_rad_s
@@ -111,8 +110,8 @@ class UnseenRobot:
             self._steps += 1
             if self.time_s * IMAGE_RATE_HZ >= self._images:
                 self._images += 1
-                noise = NOISE_M * self._rng.standard_normal(len(self.feature.axes))
-                self._pending.append((self.time_s, self.feature.displaced(self.ball_m, noise)))
+                noise = NOISE_M * self._rng.standard_normal(self.kind.size)
+                self._pending.append((self.time_s, self.kind.retract(self.ball_m, noise)))
         seen = []
         while self._pending and self._pending[0][0] + LATENCY_S <= self.time_s:
             seen.append(self._pending.popleft())
@@ -124,7 +123,7 @@ class UnseenRobot:
         while len(targets) <= count:
             way_rad = 0.45 * rng.uniform(-1.0, 1.0, self.joints_rad.size)
             target = self.arm.position(self.arm.reference_rad + way_rad)
-            if 0.05 < np.linalg.norm(target - targets[-1]) < 0.3:
+            if 0.05 < np.linalg.norm(self.kind.minus(target, targets[-1])) < 0.3:
                 targets.append(target)
         return targets[1:]
 
@@ -144,7 +143,7 @@ def main() -> None:
     rclpy.init()
     node = rclpy.create_node("ur_robot_driver")
     joint_states = node.create_publisher(JointState, "joint_states", 10)
-    seen = node.create_publisher(kind, robot.feature.seen.name, 10)
+    seen = node.create_publisher(kind, robot.kind.topics.tool.name, 10)
     truth = node.create_publisher(kind, "truth", 10)
     started_s, epoch_s = time.monotonic(), time.time()
     names = sorted([*robot.names, "gripper_joint"])
@@ -159,14 +158,14 @@ def main() -> None:
     def step() -> None:
         while robot.time_s + period_s <= time.monotonic() - started_s:
             for stamp_s, found_m in robot.advance(period_s):
-                seen.publish(ros.to_feature(epoch_s + stamp_s, FRAME, robot.feature, found_m))
+                seen.publish(ros.to_feature(epoch_s + stamp_s, FRAME, robot.kind, found_m))
             now_s = epoch_s + robot.time_s
             turned = robot.joints_rad - robot.arm.reference_rad + home
             wrapped = np.arctan2(np.sin(turned), np.cos(turned))
             joints = dict(zip(robot.names, wrapped.tolist(), strict=True), gripper_joint=0.3)
             positions = np.array([joints[name] for name in names])
             joint_states.publish(ros.to_joint_state(now_s, names, positions, np.zeros(0)))
-            truth.publish(ros.to_feature(now_s, FRAME, robot.feature, robot.ball_m))
+            truth.publish(ros.to_feature(now_s, FRAME, robot.kind, robot.ball_m))
 
     node.create_timer(period_s, step)
     with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):

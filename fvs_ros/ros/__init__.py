@@ -11,11 +11,10 @@ from fvs_ros.ros.messages import (
     from_chain,
     from_feature,
     from_jacobian,
-    from_point,
-    from_pose,
     from_sliding,
     from_stamp,
     from_status,
+    message_class,
     send_last_zeros,
     to_camera_info,
     to_chain,
@@ -25,13 +24,11 @@ from fvs_ros.ros.messages import (
     to_jacobian,
     to_joint_state,
     to_point,
-    to_pose,
     to_sliding,
     to_stamp,
     to_status,
-    to_vector,
 )
-from fvs_ros.ros.node import REPEAT_S, STATUS_PERIOD_S, FvsNode, message_class
+from fvs_ros.ros.node import REPEAT_S, STATUS_PERIOD_S, FvsNode
 from fvs_ros.ros.process import run
 from fvs_ros.ros.qos import (
     PROFILES,

@@ -6,12 +6,13 @@ import math
 import sys
 import time
 from collections.abc import Iterable, Mapping
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
+from geometry_msgs.msg import Vector3Stamped
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import CameraInfo, Image, JointState
@@ -19,16 +20,15 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from fvs_ros.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import Feature, PoseFeature
-from fvs_ros.rotations import QUATERNION_SLACK, quaternion_from_rotation, rotation_from_quaternion
-from fvs_ros.vectors import length, plausible
+from fvs_ros.kinds import Kind
+from fvs_ros.kinds.ball import Ball
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 _LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
 #: Of a chain's message: axis, point and reference of a joint, and whether it is prismatic.
 _CHAIN_COLUMNS = 8
-_BALL = Feature()
+_BALL = Ball()
 #: Longest text that is logged, published or taken for a frame, characters.
 MOST_TEXT = 1000
 
@@ -56,9 +56,9 @@ def from_stamp(stamp: Time) -> float:
     return stamp.sec + stamp.nanosec * 1e-9
 
 
-def _stamped(kind: type, stamp_s: float, frame: str) -> Any:
+def _stamped(message_type: type, stamp_s: float, frame: str) -> Any:
     """A message with a header."""
-    message = kind()
+    message = message_type()
     message.header.stamp, message.header.frame_id = to_stamp(stamp_s), frame
     return message
 
@@ -68,106 +68,57 @@ def _set(fields: Any, names: str, values: np.ndarray) -> None:
         setattr(fields, name, float(value))
 
 
-def to_point(stamp_s: float, frame: str, position_m: np.ndarray) -> PointStamped:
+def message_class(name: str) -> type:
+    """The class of a message type such as ``sensor_msgs/msg/JointState``."""
+    module, _, of_type = name.rpartition("/")
+    return getattr(import_module(module.replace("/", ".")), of_type)
+
+
+def to_point(stamp_s: float, frame: str, position_m: np.ndarray) -> Any:
     """``PointStamped`` of a position, m, shape (3,)."""
-    message = _stamped(PointStamped, stamp_s, frame)
-    _set(message.point, "xyz", position_m)
+    return to_feature(stamp_s, frame, _BALL, position_m)
+
+
+def to_feature(stamp_s: float, frame: str, kind: Kind, z: np.ndarray) -> Any:
+    """Message of a measurement or a target, (m,)."""
+    message = _stamped(message_class(kind.topics.tool.type), stamp_s, frame)
+    kind.write(message, z)
     return message
 
 
-def from_point(message: PointStamped, frame: str, topic: str) -> np.ndarray:
-    """Position of a ``PointStamped``, m, shape (3,).
+def from_feature(message: Any, kind: Kind, frame: str, topic: str) -> np.ndarray:
+    """Measurement or target of a message, (m,).
 
-    A ``MessageError`` names the topic if it is in another frame than this, or no position.
+    A ``MessageError`` names the topic if it is in another frame than this, or not usable.
     """
-    _check_frame(message, frame, topic)
-    position = np.array([message.point.x, message.point.y, message.point.z], dtype=float)
-    if not plausible(position):
-        raise MessageError(f"{topic} is not finite, or too far: {position.tolist()}")
-    return position
-
-
-def _check_frame(message: Any, frame: str, topic: str) -> None:
     if message.header.frame_id != frame:
         raise MessageError(
             f"{topic} is in frame '{message.header.frame_id}', expected '{frame}' "
             "(parameter feature_frame)"
         )
+    try:
+        return kind.read(message)
+    except ValueError as error:
+        raise MessageError(f"{topic} {error}") from error
 
 
-def to_pose(
-    stamp_s: float, frame: str, position_m: np.ndarray, quaternion_xyzw: np.ndarray
-) -> PoseStamped:
-    """``PoseStamped`` of a position, m, shape (3,), and a unit quaternion, shape (4,)."""
-    message = _stamped(PoseStamped, stamp_s, frame)
-    _set(message.pose.position, "xyz", position_m)
-    _set(message.pose.orientation, "xyzw", quaternion_xyzw)
+def to_sliding(stamp_s: float, frame: str, kind: Kind, sliding_m: np.ndarray) -> Any:
+    """Message of a sliding variable, m, (d,)."""
+    of_type = message_class(kind.topics.sliding.type)
+    if of_type is Float64MultiArray:
+        return Float64MultiArray(data=(sliding_m / kind.unit).tolist())
+    message = _stamped(of_type, stamp_s, frame)
+    _set(message.vector, "xyz", sliding_m)
     return message
 
 
-def from_pose(message: PoseStamped, topic: str) -> tuple[np.ndarray, np.ndarray]:
-    """Position, m, shape (3,), and unit quaternion x, y, z, w, shape (4,), of a ``PoseStamped``.
-
-    A ``MessageError`` if it is not finite, too far, or its quaternion is far from a unit one.
-    """
-    at, turn = message.pose.position, message.pose.orientation
-    position = np.array([at.x, at.y, at.z])
-    quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
-    size = length(quaternion)
-    if not (plausible(position) and abs(size - 1.0) < QUATERNION_SLACK):
-        raise MessageError(
-            f"{topic} is no pose: position {position.tolist()}, quaternion {quaternion.tolist()}"
-        )
-    return position, quaternion / size
-
-
-def to_feature(
-    stamp_s: float, frame: str, feature: Feature, feature_m: np.ndarray
-) -> PointStamped | PoseStamped:
-    """Message of a ball's position or a pose, m, (m,)."""
-    if not isinstance(feature, PoseFeature):
-        return to_point(stamp_s, frame, feature_m)
-    return to_pose(
-        stamp_s, frame, feature_m[:3], quaternion_from_rotation(feature.rotation(feature_m))
-    )
-
-
-def from_feature(
-    message: PointStamped | PoseStamped, feature: Feature, frame: str, topic: str
-) -> np.ndarray:
-    """Ball's position or pose of a message, m, (m,); a ``MessageError`` if it is not usable."""
-    if not isinstance(feature, PoseFeature):
-        return from_point(message, frame, topic)
-    _check_frame(message, frame, topic)
-    position, quaternion = from_pose(message, topic)
-    return feature.of(position, rotation_from_quaternion(quaternion))
-
-
-def to_sliding(
-    stamp_s: float, frame: str, feature: Feature, sliding_variable: np.ndarray
-) -> Vector3Stamped | Float64MultiArray:
-    """Message of a sliding variable, (d,)."""
-    if isinstance(feature, PoseFeature):
-        return Float64MultiArray(data=(sliding_variable / feature.task_scale).tolist())
-    return to_vector(stamp_s, frame, sliding_variable)
-
-
-def from_sliding(message: Vector3Stamped | Float64MultiArray, feature: Feature) -> np.ndarray:
-    """Sliding variable of a message, (d,); a ``MessageError`` if it has not d components."""
+def from_sliding(message: Vector3Stamped | Float64MultiArray, kind: Kind) -> np.ndarray:
+    """Sliding variable of a message, m, (d,); a ``MessageError`` if it has not d components."""
     if isinstance(message, Vector3Stamped):
         return np.array([message.vector.x, message.vector.y, message.vector.z])
-    if len(message.data) != len(feature.axes):
-        raise MessageError(
-            f"sliding_variable has {len(message.data)} values, expected {len(feature.axes)}"
-        )
-    return np.array(message.data) * feature.task_scale
-
-
-def to_vector(stamp_s: float, frame: str, vector: np.ndarray) -> Vector3Stamped:
-    """``Vector3Stamped`` of a vector, shape (3,)."""
-    message = _stamped(Vector3Stamped, stamp_s, frame)
-    _set(message.vector, "xyz", vector)
-    return message
+    if len(message.data) != kind.size:
+        raise MessageError(f"sliding_variable has {len(message.data)} values, expected {kind.size}")
+    return np.array(message.data) * kind.unit
 
 
 def _to_matrix(matrix: np.ndarray, row: str, column: str) -> Float64MultiArray:
@@ -196,36 +147,35 @@ def _from_matrix(message: Float64MultiArray, name: str, rows: int, columns: int)
     return matrix
 
 
-def to_jacobian(jacobian: np.ndarray, feature: Feature = _BALL) -> Float64MultiArray:
-    """``Float64MultiArray`` of a task's Jacobian, m/rad, shape (d, n), row-major."""
-    return _to_matrix(jacobian / feature.task_scale[:, None], "feature", "joint")
+def to_jacobian(jacobian: np.ndarray, kind: Kind = _BALL) -> Float64MultiArray:
+    """``Float64MultiArray`` of a Jacobian, m/rad, shape (d, n), row-major."""
+    return _to_matrix(jacobian / kind.unit[:, None], "feature", "joint")
 
 
-def from_jacobian(message: Float64MultiArray, joints: int, feature: Feature = _BALL) -> np.ndarray:
-    """Task's Jacobian of a message, m/rad, shape (d, joints); a ``MessageError`` if it is none."""
-    jacobian = _from_matrix(message, "jacobian", len(feature.axes), joints)
-    return jacobian * feature.task_scale[:, None]
+def from_jacobian(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> np.ndarray:
+    """Jacobian of a message, m/rad, shape (d, joints); a ``MessageError`` if it is none."""
+    return _from_matrix(message, "jacobian", kind.size, joints) * kind.unit[:, None]
 
 
-def to_chain(chain: SerialChain, feature: Feature = _BALL) -> Float64MultiArray:
+def to_chain(chain: SerialChain) -> Float64MultiArray:
     """``Float64MultiArray`` of a chain of n joints, shape (n + m / 3, 8), row-major.
 
     A row for each joint: the direction of its axis, a point on it, m, the joint's reference
     position, rad (m), and 1 if it is prismatic. Then the rows of the feature, and zeros.
     """
-    joints, carried = len(chain.axes), feature.size // 3
-    rows = np.zeros((joints + carried, _CHAIN_COLUMNS))
+    joints, carried = len(chain.axes), chain.feature_m.reshape(-1, 3)
+    rows = np.zeros((joints + len(carried), _CHAIN_COLUMNS))
     joint = np.column_stack([chain.reference_rad, chain.prismatic])
     rows[:joints] = np.hstack([chain.axes, chain.points_m, joint])
-    rows[joints:, :3] = (chain.feature_m / feature.scale).reshape(carried, 3)
+    rows[joints:, :3] = carried
     return _to_matrix(rows, "joint", "axis_point_reference")
 
 
-def from_chain(message: Float64MultiArray, joints: int, feature: Feature = _BALL) -> SerialChain:
+def from_chain(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> SerialChain:
     """Chain of a message as :func:`to_chain` makes it; a ``MessageError`` if it is none."""
-    rows = joints + feature.size // 3
+    rows = joints + kind.numbers // 3
     matrix = _from_matrix(message, "kinematic_chain", rows, _CHAIN_COLUMNS)
-    joint, carried = matrix[:joints], feature.nearest(matrix[joints:, :3].ravel() * feature.scale)
+    joint, carried = matrix[:joints], kind.nearest(matrix[joints:, :3].ravel())
     try:
         return SerialChain(joint[:, :3], joint[:, 3:6], carried, *joint[:, 6:].T)
     except ValueError as error:

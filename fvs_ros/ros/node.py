@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
-from importlib import import_module
 from typing import Any, cast
 
 import rclpy
@@ -28,7 +27,7 @@ from fvs_ros import topics
 from fvs_ros.clock import LoopClock
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.ros.inputs import IMAGES, MOST_ITEMS, ArrivalMonitor, check_request, unpacked
-from fvs_ros.ros.messages import OK, WARN, MessageError, plain, to_stamp, to_status
+from fvs_ros.ros.messages import OK, WARN, MessageError, message_class, plain, to_stamp, to_status
 from fvs_ros.ros.qos import PROFILES, QOS_LATCHED
 from fvs_ros.ros.wiring import HandingPublisher, Input
 from fvs_ros.topics import Topic
@@ -58,12 +57,6 @@ def _descriptor(one: Parameter) -> ParameterDescriptor:
     else:
         descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
     return descriptor
-
-
-def message_class(name: str) -> type:
-    """The class of a message type such as ``sensor_msgs/msg/JointState``."""
-    module, _, kind = name.rpartition("/")
-    return getattr(import_module(module.replace("/", ".")), kind)
 
 
 class FvsNode(Node):

@@ -36,8 +36,7 @@ from fvs_lab.trials import (
     simulation_of,
 )
 from fvs_lab.worlds import DISTANCE_M, DRAWN, EVERYDAY, HARSH, draw_world
-from fvs_ros.feature import ServoedConfig
-from fvs_ros.topics import POSE
+from fvs_ros.kinds.pose import Pose
 
 EXACT = Conditions(rendered=False)
 
@@ -188,14 +187,14 @@ def test_best_is_close_to_the_floor_and_the_same_when_repeated():
 
 
 def test_a_turn_counts_by_its_arc_as_in_the_controller():
-    exact = Conditions(POSE, rendered=False)
+    exact = Conditions("pose", rendered=False)
     (case,) = make_cases("t", 1, 5, conditions=exact)
     outcome = run_trial(who.variant(who.BEST).trial(case, exact, duration_s=0.02, record=True))
-    feature = ServoedConfig(feature=POSE).servoed
+    feature = Pose()
     start_m, target_m = outcome.series["ball_m"][0], np.array(outcome.target_m)
-    arc_m = np.linalg.norm(feature.error(start_m, target_m))
+    arc_m = np.linalg.norm(feature.minus(start_m, target_m))
     assert outcome.start_distance_m == pytest.approx(arc_m, rel=1e-12)
-    assert arc_m > 1.001 * np.linalg.norm(start_m - target_m)
+    assert arc_m > 1.001 * np.linalg.norm(feature.weights * (start_m - target_m))
 
 
 def test_a_camera_that_moves_while_the_ball_rests_costs_little_time():

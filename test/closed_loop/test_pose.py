@@ -20,7 +20,7 @@ SETTLED_M, SETTLED_RAD = 5e-3, np.radians(1.0)
 
 def pose_at(loop, joints_rad):
     """The tag as the camera sees it at joints."""
-    return loop.simulation.true_chain(loop.feature).position(joints_rad)
+    return loop.simulation.true_chain(loop.kind).position(joints_rad)
 
 
 def loop_of(scheme, config=EXACT, **values):
@@ -37,7 +37,7 @@ def servo(loop, target, seconds):
     parts = []
     for _ in range(round(seconds / loop.period_s)):
         loop.tick()
-        parts.append(loop.feature.parts(loop.feature.error(loop.true_feature, target)))
+        parts.append(loop.kind.status_values(loop.kind.minus(loop.true_feature, target)))
     return np.array([[one["way_m"], one["angle_rad"]] for one in parts]).T
 
 
@@ -56,7 +56,7 @@ def test_every_scheme_settles_in_position_and_angle(scheme):
 @each("lever_arm_m", [0.15, 0.6])
 def test_any_lever_arm_does(scheme, lever_arm_m):
     loop = loop_of(scheme, lever_arm_m=lever_arm_m)
-    true = loop.simulation.true_task_jacobian(loop.feature, loop.simulation.joints_rad)
+    true = loop.simulation.true_feature_jacobian(loop.simulation.joints_rad, loop.kind)
     assert np.linalg.norm(loop.loop.jacobian - true) < 0.05 * np.linalg.norm(true)
     way_m, angle_rad = servo(loop, pose_at(loop, GOAL_RAD), 3.0)
     assert way_m[-125:].max() < SETTLED_M
@@ -68,7 +68,7 @@ def test_the_oracle_has_the_true_jacobian():
     simulation.reset(START_RAD, 1)
     loop = ClosedLoop.of_scheme(replace(SCHEMES["proposed"], method="oracle"), simulation)
     loop.run(0.5)
-    true = simulation.true_task_jacobian(loop.feature, simulation.joints_rad)
+    true = simulation.true_feature_jacobian(simulation.joints_rad)
     np.testing.assert_allclose(loop.loop.jacobian, true, atol=2e-3)
     way_m, angle_rad = servo(loop, pose_at(loop, GOAL_RAD), 2.0)
     assert way_m[-60:].max() < SETTLED_M
@@ -103,9 +103,9 @@ def test_a_frozen_image_holds_the_arm():
     inputs = loop.loop
 
     def add_frozen(now_s, stamp_s, _seen_m):
-        inputs.__class__.add_feature(inputs, now_s, stamp_s, frozen)
+        inputs.__class__.add_image(inputs, now_s, stamp_s, frozen)
 
-    inputs.add_feature = add_frozen
+    inputs.add_image = add_frozen
     servo(loop, pose_at(loop, GOAL_RAD), 1.5)
     assert loop.loop.supervisor.last.reason is Reason.IMAGE_NOT_FOLLOWING
     assert loop.loop.supervisor.last.state is State.HOLDING
@@ -113,7 +113,7 @@ def test_a_frozen_image_holds_the_arm():
 
 def test_a_moving_target_is_followed():
     loop = loop_of("best")
-    chain = loop.simulation.true_chain(loop.feature)
+    chain = loop.simulation.true_chain(loop.kind)
     errors_m = []
     for tick in range(500):
         along = 0.5 - 0.5 * np.cos(0.5 * tick * loop.period_s)
@@ -121,5 +121,5 @@ def test_a_moving_target_is_followed():
         if tick % 4 == 0:
             loop.set_target(target)
         loop.tick()
-        errors_m.append(np.linalg.norm(loop.feature.error(loop.true_feature, target)))
+        errors_m.append(np.linalg.norm(loop.kind.minus(loop.true_feature, target)))
     assert max(errors_m[125:]) < 5e-3

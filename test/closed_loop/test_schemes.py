@@ -138,7 +138,7 @@ def test_the_noise_of_images_is_learned_and_not_thrown_back_at_the_arm(
         commands, errors_m = run(loop, target_m, 2.0)
         assert np.sqrt(np.mean(np.square(errors_m))) < 0.5 * noise_m
         assert np.abs(commands).max() < 0.1
-        assert loop.loop.predictor.tracker.noise_m == pytest.approx(noise_m, rel=0.3)
+        assert loop.loop.track.filter.noise_m == pytest.approx(noise_m, rel=0.3)
 
 
 def turned(chain):

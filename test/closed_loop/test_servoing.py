@@ -65,8 +65,8 @@ def test_any_rate_of_joint_states_will_do(rate_hz):
 @each("name", ALL)
 def test_a_frozen_image_with_fresh_stamps_is_found_before_the_arm_goes_far(name):
     loop, _, errors_m = servo(name, 0.2)
-    add_feature, frozen_m = loop.loop.add_feature, loop.ball_m
-    loop.loop.add_feature = lambda now_s, stamp_s, _: add_feature(now_s, stamp_s, frozen_m)
+    add_image, frozen_m = loop.loop.add_image, loop.ball_m
+    loop.loop.add_image = lambda now_s, stamp_s, _: add_image(now_s, stamp_s, frozen_m)
     goal_m = ball_at(Simulation(EXACT.sim_config()), np.array(CASE.goal_rad))
     commands, later_m = run(loop, goal_m, 0.6)
     assert loop.loop.supervisor.last.reason is Reason.IMAGE_NOT_FOLLOWING

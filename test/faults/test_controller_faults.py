@@ -9,6 +9,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
+from fvs_ros.kinds.ball import Ball
 
 MODULE = "fvs_controller_node.node"
 VELOCITY, ACCELERATION = 0.5, 6.0
@@ -26,7 +27,7 @@ class Bench:
         self.robot = PlayedRobot(harness)
         self.process = process or harness.start_node(MODULE, **LIMITS)
         self.statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
-        self.target = harness.publisher(PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED)
+        self.target = harness.publisher(PointStamped, Ball.topics.target.name, ros.QOS_LATCHED)
         self.robot.meet_controller()
         harness.spin_until(lambda: self.reason() in ("NO_TARGET", "READY"), what="all inputs")
 

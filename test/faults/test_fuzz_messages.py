@@ -16,6 +16,8 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiAr
 
 from fvs_ros import ros
 from fvs_ros.joints import UR_JOINT_NAMES, JointMap, JointStateError
+from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.pose import Pose as PoseKind
 from fvs_ros.ros.inputs import unpacked
 
 MANY = settings(max_examples=200, derandomize=True, deadline=None)
@@ -63,6 +65,9 @@ POSE = st.builds(
 )
 
 
+KIND = PoseKind()
+
+
 def chain_arrays(message):
     chain = ros.from_chain(message, 6)
     return chain.axes, chain.points_m, chain.feature_m, chain.reference_rad
@@ -77,10 +82,10 @@ READERS = {
     ),
     "point": (
         st.builds(PointStamped, header=HEADER, point=POINT),
-        lambda m: [ros.from_point(m, "camera", "ball_position")],
+        lambda m: [ros.from_feature(m, Ball(), "camera", "ball_position")],
         [(3,)],
     ),
-    "pose": (POSE, lambda m: ros.from_pose(m, "tool_pose"), [(3,), (4,)]),
+    "pose": (POSE, lambda m: [ros.from_feature(m, KIND, m.header.frame_id, "tool_pose")], [(12,)]),
     "jacobian": (MATRIX, lambda m: [ros.from_jacobian(m, 6)], [(3, 6)]),
     "chain": (MATRIX, chain_arrays, [(6, 3), (6, 3), (3,), (6,)]),
 }

@@ -12,9 +12,10 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
+from fvs_ros.kinds.ball import Ball
 
 JOINTS, BALL, JACOBIAN = (
-    topic.name for topic in (topics.JOINT_STATES, topics.BALL_POSITION, topics.JACOBIAN)
+    topic.name for topic in (topics.JOINT_STATES, Ball.topics.tool, topics.JACOBIAN)
 )
 PROGRAM = topics.ROBOT_PROGRAM_RUNNING.name
 #: Age from which an input is late, s: the controller's defaults.

@@ -24,6 +24,8 @@ from page_client import PageClient
 from fvs_ros import ros, topics
 from fvs_ros.camera import Intrinsics
 from fvs_ros.joints import JointMap
+from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.pose import Pose
 from fvs_sim_node.robot import HOME_JOINTS_RAD
 
 DASHBOARD = "fvs_dashboard.dashboard_node"
@@ -61,30 +63,36 @@ def pages():
         page.close()
 
 
+def parts(message):
+    """Position, m, and quaternion x, y, z, w, of a pose."""
+    at, turn = message.pose.position, message.pose.orientation
+    return np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
+
+
 def test_a_tag_is_toured_dragged_and_turned(ros_test, pages):
     pose = {"feature": "pose"}
     ros_test.start_node("fvs_sim_node.node", **pose, **SLOW)
     ros_test.start_node(BOTH, method="poe", autostart=True, law="minimum_time", **pose, **PATIENT)
     process = ros_test.start_node(DASHBOARD, port=0, tour=True, **pose)
     page = pages(address_of(ros_test, process))
-    targets = ros_test.collect(PoseStamped, topics.TARGET_POSE.name, ros.QOS_RELIABLE)
-    seen = ros_test.collect(PoseStamped, topics.TOOL_POSE.name)
+    targets = ros_test.collect(PoseStamped, Pose.topics.target.name, ros.QOS_RELIABLE)
+    seen = ros_test.collect(PoseStamped, Pose.topics.tool.name)
     ros_test.spin_until(lambda: bool(targets and seen), 40.0, "the tour's first target", page.text)
-    at, turn = ros.from_pose(seen[-1], "tool_pose")
+    at, turn = parts(seen[-1])
     page.drag_target(tuple(at.tolist()), turn=tuple(np.roll(turn, 1).tolist()))
 
     def same(message):
-        place, turned = ros.from_pose(message, "target_pose")
+        place, turned = parts(message)
         return np.allclose(place, at, atol=1e-6) and abs(turned @ turn) > 1.0 - 1e-6
 
     ros_test.spin_until(lambda: same(targets[-1]), what="the dragged target", story=page.text)
     aside = np.round(at + [0.02, 0.0, 0.0], 3)
     set_target(page, aside)
     ros_test.spin_until(
-        lambda: np.allclose(ros.from_pose(targets[-1], "target_pose")[0], aside, atol=1e-6),
+        lambda: np.allclose(parts(targets[-1])[0], aside, atol=1e-6),
         what="the typed target",
     )
-    kept = ros.from_pose(targets[-1], "target_pose")[1]
+    kept = parts(targets[-1])[1]
     assert abs(kept @ turn) > 1.0 - 1e-6
     assert "Traceback" not in ros_test.output(process)
 
@@ -142,7 +150,7 @@ def test_the_page_is_served_and_says_where_and_ends_though_a_browser_looks(ros_t
 
 def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
     harness, robot, _, _, page = loop
-    targets = harness.collect(PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE)
+    targets = harness.collect(PointStamped, Ball.topics.target.name, ros.QOS_RELIABLE)
     start(harness, page)
     target = np.round(robot.ball + [0.1, -0.05, 0.05], 3)
     page.set(TARGET, tuple(target.tolist()))
@@ -196,7 +204,7 @@ def test_a_controller_that_is_gone_shows_and_a_later_one_waits_for_a_target(ros_
     wait_for_state(harness, page, "READY")
     harness.stop(controller)
     wait_for_state(harness, page, "SILENT")
-    targets = harness.collect(PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE)
+    targets = harness.collect(PointStamped, Ball.topics.target.name, ros.QOS_RELIABLE)
     refusal = "not done: the controller is silent"
     for wish in (lambda: page.press("Start"), lambda: page.drag_target((0.0, 0.1, 1.4))):
         before = harness.output(process).count(refusal)
@@ -292,7 +300,7 @@ def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros
 
     wait(lambda: joint_states and away_rad() > 0.2, "the tour to begin", 30.0)
     assert page.value("Tour")
-    targets = ros_test.collect(PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE)
+    targets = ros_test.collect(PointStamped, Ball.topics.target.name, ros.QOS_RELIABLE)
     page.press("Stop")
     wait_for_state(ros_test, page, "READY")
     wait(lambda: not page.value("Tour"), "the end of the tour")

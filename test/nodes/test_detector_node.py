@@ -7,12 +7,13 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from drawn_balls import RADIUS_M, VGA, draw
 from geometry_msgs.msg import PointStamped, PoseStamped
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from fvs_detector_node.tag_pose import ACCEPT
 from fvs_ros import ros, topics
 from fvs_ros.camera import Intrinsics
+from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.pose import Pose
 
 NODE = "fvs_detector_node.node"
 QVGA = Intrinsics(320, 240, 307.5, 307.5, 159.5, 119.5)
@@ -82,7 +83,7 @@ class Watched:
 
     def __init__(self, harness):
         self.harness = harness
-        self.balls = harness.collect(PointStamped, topics.BALL_POSITION.name)
+        self.balls = harness.collect(PointStamped, Ball.topics.tool.name)
         self.status = harness.collect(DiagnosticStatus, "fvs_detector_node/status")
 
     def wait_for(self, state, *said):
@@ -203,7 +204,7 @@ def test_it_agrees_with_the_simulators_own_detection(ros_test):
     expected = ros_test.collect(PointStamped, "sim_ball")
     ros_test.start_node(NODE, use_sim_time=True)
     small = {"image_width": 320, "image_height": 240, "depth_noise": 0.0}
-    remaps = {topics.BALL_POSITION.name: "sim_ball"}
+    remaps = {Ball.topics.tool.name: "sim_ball"}
     ros_test.start_node("fvs_sim_node.node", remaps, simulated_time=True, **small)
 
     def stamp(message):
@@ -222,7 +223,7 @@ def test_it_agrees_with_the_simulators_own_detection(ros_test):
 def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
     detector = ros_test.start_node(NODE, feature="pose", tag_id=7, tag_size_m=0.06)
     watched, place = Watched(ros_test), np.array([0.02, 0.01, 0.4])
-    poses = ros_test.collect(PoseStamped, topics.TOOL_POSE.name)
+    poses = ros_test.collect(PoseStamped, Pose.topics.tool.name)
     rotation = cv2.Rodrigues(np.array([0.5, 0.0, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
     camera = PlayedCamera(ros_test)
     camera.depth_m, camera.calibrated = None, False
@@ -230,11 +231,11 @@ def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
     camera.calibrated = True
     watched.wait_for("LOST", "tag 7 of APRILTAG_36h11 is not in view")
     camera.rgb = drawn_tags.draw([(7, rotation, place)], QVGA)
-    watched.wait_for("TRACKING", "its pose is published")
+    watched.wait_for("TRACKING", "tool_pose is published")
     ros_test.spin_until(lambda: len(poses) > 3, what="poses")
-    position_m, quaternion = ros.from_pose(poses[-1], "tool_pose")
-    assert np.linalg.norm(position_m - place) < 5e-3
-    np.testing.assert_allclose(Rotation.from_quat(quaternion).as_matrix(), rotation, atol=0.1)
+    tag = Pose().read(poses[-1])
+    assert np.linalg.norm(tag[:3] - place) < 5e-3
+    np.testing.assert_allclose(Pose().rotation(tag), rotation, atol=0.1)
     assert poses[-1].header.frame_id == FRAME
     camera.rgb = drawn_tags.draw([(7, rotation, place + [x, 0, 0]) for x in (-0.1, 0.1)], QVGA)
     watched.wait_for("LOST", "2 tags have the number 7")

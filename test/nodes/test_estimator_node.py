@@ -14,6 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from fvs_estimator_node.files import load_model, save_model
 from fvs_ros import ros, topics
 from fvs_ros.joints import JointMap
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import SimConfig, Simulation
 from fvs_tools.closed_loop import MODEL
@@ -55,7 +56,7 @@ class Watched:
 
 def test_by_every_method_the_jacobian_is_that_of_the_arm_often_enough(ros_test):
     ros_test.start_node("fvs_sim_node.node")
-    balls = ros_test.collect(PointStamped, topics.BALL_POSITION.name)
+    balls = ros_test.collect(PointStamped, Ball.topics.tool.name)
     states = ros_test.collect(JointState, topics.JOINT_STATES.name)
     estimator = Watched(ros_test)
     estimator.wait(lambda: states and balls and estimator.jacobians)
@@ -116,7 +117,7 @@ def test_it_learns_from_motion_unless_frozen_and_a_reset_forgets(ros_test):
         message.header.frame_id = "base_link"
         return message
 
-    robot.spoil[topics.BALL_POSITION.name] = elsewhere
+    robot.spoil[Ball.topics.tool.name] = elsewhere
     estimator.wait(lambda: "base_link" in estimator.text() and estimator.value("state") == "FAULT")
     robot.spoil.clear()
     estimator.wait(lambda: estimator.value("state") == "LEARNING")
@@ -125,7 +126,7 @@ def test_it_learns_from_motion_unless_frozen_and_a_reset_forgets(ros_test):
     assert float(values["joint_states rate_hz"]) > 50.0
     assert float(values["ball_position age_s"]) < 0.2
     assert "joint_states jitter_ms" in values
-    robot.silent.add(topics.BALL_POSITION.name)
+    robot.silent.add(Ball.topics.tool.name)
     estimator.wait(lambda: "waiting for ball_position" in estimator.text())
     assert all(np.all(np.isfinite(m.data)) for m in estimator.jacobians)
 

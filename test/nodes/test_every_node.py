@@ -23,7 +23,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 
-from fvs_ros import ros, topics
+from fvs_ros import contract, ros, topics
 from fvs_ros.topics import NODES
 from fvs_tools.reference import policy
 from fvs_tools.scenario import NODE_TABLE
@@ -43,7 +43,7 @@ SETTLE_S = 1.0
 def variants(name):
     """Parameters of a node: its defaults, and other values wherever its topics depend on them."""
     declared, others = NODE_TABLE[name].parameters(), {}
-    for end in (*topics.publishers(name).values(), *topics.subscribers(name).values()):
+    for end in (*contract.publishers(name).values(), *contract.subscribers(name).values()):
         for given, value in end.given.items():
             parameter = declared[given]
             values = (value, *(parameter.choices or (False, True)))
@@ -83,7 +83,7 @@ class LoneNode:
 
     def expected_ends(self, publishing):
         """Full name, type, reliability, durability of each end that it must have, sorted."""
-        ends = (topics.publishers if publishing else topics.subscribers)(self.name)
+        ends = (contract.publishers if publishing else contract.subscribers)(self.name)
         return sorted(
             (self.resolve(topic.name), topic.type, profile.reliability, profile.durability)
             for topic, end in ends.items()

@@ -18,6 +18,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Float64MultiArray
 
 from fvs_ros import ros, topics
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.paths import program
 from fvs_tools.scenario import NODE_TABLE
 
@@ -68,9 +69,7 @@ def test_the_demo_settles_every_target(ros_test):
 
 def test_ctrl_c_in_motion_ends_all_with_zeros_last(ros_test):
     commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
-    target = ros_test.node.create_publisher(
-        PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
-    )
+    target = ros_test.node.create_publisher(PointStamped, Ball.topics.target.name, ros.QOS_LATCHED)
     truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
     process = ros_test.start(MODULE, "servo")
     ros_test.spin_until(lambda: bool(truths), 30.0, "the simulator")

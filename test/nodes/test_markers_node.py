@@ -8,6 +8,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.kinds.ball import Ball
 
 MODULE = "fvs_tools.markers_node"
 BALL = np.array([0.1, 0.2, 1.5])
@@ -23,7 +24,7 @@ def viewer(ros_test):
     states = ros_test.collect(DiagnosticStatus, "fvs_markers_node/status")
     ros_test.spin_until(lambda: bool(states), what="a status")
     assert ros.from_status(states[-1])["state"] == "IDLE"
-    ball = ros_test.publisher(PointStamped, topics.BALL_POSITION.name)
+    ball = ros_test.publisher(PointStamped, Ball.topics.tool.name)
     status = ros_test.publisher(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
     seen = ros_test.collect(MarkerArray, topics.MARKERS.name)
 

@@ -7,16 +7,16 @@ from std_msgs.msg import Float64MultiArray
 
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.feature import PoseFeature
+from fvs_ros.kinds.pose import Pose
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import Simulation
 
-FEATURE = PoseFeature(0.3)
+KIND = Pose()
 POSE = {"feature": "pose"}
 
 
 def pose(stamp_s, feature_m, frame=CAMERA_FRAME):
-    return ros.to_feature(stamp_s, frame, FEATURE, feature_m)
+    return ros.to_feature(stamp_s, frame, KIND, feature_m)
 
 
 class Loop:
@@ -28,7 +28,7 @@ class Loop:
         simulated = {"use_sim_time": controller.get("use_sim_time", False)}
         harness.start_node("fvs_estimator_node.node", method="poe", **POSE, **simulated)
         harness.start_node("fvs_controller_node.node", **POSE, **controller)
-        self.targets = harness.publisher(PoseStamped, topics.TARGET_POSE.name, ros.QOS_LATCHED)
+        self.targets = harness.publisher(PoseStamped, Pose.topics.target.name, ros.QOS_LATCHED)
 
     def wait_for(self, state, words="", patience_s=20.0):
         def said():
@@ -43,8 +43,8 @@ class Loop:
 def test_a_tag_in_rendered_images_is_detected_and_servoed(ros_test):
     simulation = Simulation(SimConfig(feature="pose", rendered=False))
     goal = simulation.joints_rad + [0.15, -0.1, 0.1, 0.1, -0.15, 0.2]
-    target = simulation.true_chain(FEATURE).position(goal)
-    truth = ros_test.collect(PoseStamped, topics.TRUE_TOOL_POSE.name)
+    target = simulation.true_chain(KIND).position(goal)
+    truth = ros_test.collect(PoseStamped, Pose.topics.truth.name)
     ros_test.start_node(
         "fvs_sim_node.node",
         publish_ball_position=False,
@@ -61,7 +61,7 @@ def test_a_tag_in_rendered_images_is_detected_and_servoed(ros_test):
     truth.clear()
     ros_test.spin_until(lambda: len(truth) > 20, what="the tag's true pose")
     errors = [
-        FEATURE.parts(FEATURE.error(ros.from_feature(one, FEATURE, CAMERA_FRAME, "truth"), target))
+        KIND.status_values(KIND.minus(ros.from_feature(one, KIND, CAMERA_FRAME, "truth"), target))
         for one in truth
     ]
     assert max(one["way_m"] for one in errors) < 5e-3
@@ -69,13 +69,13 @@ def test_a_tag_in_rendered_images_is_detected_and_servoed(ros_test):
 
 
 def test_poses_that_are_none_never_move_the_arm(ros_test):
-    ros_test.start_node("fvs_sim_node.node", {topics.TOOL_POSE.name: "not_heard"}, **POSE)
+    ros_test.start_node("fvs_sim_node.node", {Pose.topics.tool.name: "not_heard"}, **POSE)
     seen = ros_test.collect(PoseStamped, "not_heard")
     commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
     loop = Loop(ros_test, autostart=True)
-    tracker = ros_test.publisher(PoseStamped, topics.TOOL_POSE.name)
+    tracker = ros_test.publisher(PoseStamped, Pose.topics.tool.name)
     ros_test.spin_until(lambda: len(seen) > 5, 40.0, "the simulator's tag")
-    good = ros.from_feature(seen[-1], FEATURE, CAMERA_FRAME, "tag")
+    good = ros.from_feature(seen[-1], KIND, CAMERA_FRAME, "tag")
 
     def short(message):
         message.pose.orientation.w = message.pose.orientation.x = 0.0
@@ -95,7 +95,7 @@ def test_poses_that_are_none_never_move_the_arm(ros_test):
     bad.pose.orientation.w = 3.0
     loop.targets.publish(bad)
     loop.wait_for("WAITING", "target_pose is no pose")
-    aside = FEATURE.displaced(good, np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    aside = KIND.retract(good, np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
     loop.targets.publish(pose(0.0, aside))
     for change, words in (
         (short, "tool_pose is no pose"),

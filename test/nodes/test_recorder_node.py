@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, Float64
 
 from fvs_ros import ros, topics
+from fvs_ros.kinds.ball import Ball
 from fvs_tools.scenario import RECORDER as NAME
 
 pytest.importorskip("rosbags")
@@ -140,7 +141,7 @@ def test_what_came_before_the_recorder_was_killed_is_read(ros_test):
     process = ros_test.start_node(RECORDER, bag_dir="bag", scenario=scenario)
     ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
     status = ros_test.collect(DiagnosticStatus, f"{NAME}/status")
-    ball = ros_test.node.create_publisher(PointStamped, topics.BALL_POSITION.name, DEEP)
+    ball = ros_test.node.create_publisher(PointStamped, Ball.topics.tool.name, DEEP)
     listened(ros_test, ball)
     for number in range(30):
         ball.publish(ros.to_point(1.0 + number, "eye", np.array([0.1, 0.2, 0.8])))

@@ -5,7 +5,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped, PoseStamped
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -13,6 +12,8 @@ from ur5_dh import axes_origins_ball
 
 from fvs_ros import ros, topics
 from fvs_ros.joints import UR_JOINT_NAMES, JointMap
+from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.pose import Pose
 from fvs_sim_node.config import PARAMETERS
 
 MODULE = "fvs_sim_node.node"
@@ -38,7 +39,7 @@ def set_parameter(harness, name, value):
 
 def test_it_publishes_what_a_ur_and_a_detector_publish(simulator):
     states = simulator.collect(JointState, topics.JOINT_STATES.name)
-    balls = simulator.collect(PointStamped, topics.BALL_POSITION.name)
+    balls = simulator.collect(PointStamped, Ball.topics.tool.name)
     truths = simulator.collect(PointStamped, "fvs_sim_node/true_ball_position")
     running = simulator.collect(Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED)
     simulator.spin_until(lambda: len(states) > 60 and len(balls) > 10 and truths and running)
@@ -85,7 +86,7 @@ def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(ros_test
     simulator.spin_until(lambda: states and infos, what="camera_info without a look at images")
     colours = simulator.collect(Image, topics.COLOR_IMAGE.name, ros.QOS_RELIABLE)
     depths = simulator.collect(Image, topics.DEPTH_IMAGE.name, ros.QOS_RELIABLE)
-    balls = simulator.collect(PointStamped, topics.BALL_POSITION.name)
+    balls = simulator.collect(PointStamped, Ball.topics.tool.name)
     shown = []
 
     def looked():
@@ -109,7 +110,7 @@ def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(ros_test
 
 
 def test_disturbances_are_live(simulator):
-    balls = simulator.collect(PointStamped, topics.BALL_POSITION.name)
+    balls = simulator.collect(PointStamped, Ball.topics.tool.name)
     simulator.spin_until(lambda: len(balls) > 0)
     before = balls[-1].point
     assert set_parameter(simulator, "camera_rotation_deg", [0.0, 0.0, 20.0]).successful
@@ -134,9 +135,9 @@ def test_a_viewer_learns_of_robot_and_camera_whenever_it_comes(ros_test):
     assert poses[0].header.frame_id == "left_base_link"
 
     def in_base_link():
-        position, quaternion = ros.from_pose(poses[-1], "camera")
+        camera = Pose().read(poses[-1])
         ball = np.array([getattr(balls[-1].point, axis) for axis in "xyz"])
-        return Rotation.from_quat(quaternion).apply(ball) + position
+        return Pose().rotation(camera) @ ball + camera[:3]
 
     joints_rad = JointMap(tf_prefix="left_").positions(states[-1].name, states[-1].position)
     ball_m = axes_origins_ball(joints_rad)[2] * [-1.0, -1.0, 1.0]  # base_link: half a turn

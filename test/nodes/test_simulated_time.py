@@ -10,6 +10,7 @@ from std_msgs.msg import Float64MultiArray
 
 from fvs_ros import ros, topics
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.kinds.ball import Ball
 from fvs_sim_node.robot import HOME_JOINTS_RAD
 
 STEP_S = 0.008
@@ -40,7 +41,7 @@ def test_the_simulator_waits_for_a_slow_answer_to_each_joint_state(ros_test):
     ("topic", "message", "behind_s"),
     [
         (topics.JACOBIAN, ros.to_jacobian(JACOBIAN), 0.1),
-        (topics.BALL_POSITION, ros.to_point(1.0, "camera", np.zeros(3)), 0.15),
+        (Ball.topics.tool, ros.to_point(1.0, "camera", np.zeros(3)), 0.15),
     ],
     ids=["estimator", "detector"],
 )
@@ -68,9 +69,7 @@ class SlowSimulator:
         self.commands = harness.collect(Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE)
         self._clock = node.create_publisher(Clock, "/clock", ros.QOS_RELIABLE)
         self._states = node.create_publisher(JointState, topics.JOINT_STATES.name, ros.QOS_RELIABLE)
-        self._balls = node.create_publisher(
-            PointStamped, topics.BALL_POSITION.name, ros.QOS_RELIABLE
-        )
+        self._balls = node.create_publisher(PointStamped, Ball.topics.tool.name, ros.QOS_RELIABLE)
         self._jacobians = node.create_publisher(
             Float64MultiArray, topics.JACOBIAN.name, ros.QOS_RELIABLE
         )
@@ -113,7 +112,7 @@ def test_who_commands_answers_each_joint_state_once_however_slowly_they_come(
     simulator = SlowSimulator(ros_test)
     if targets:
         point = ros.to_point(1.0, "camera_color_optical_frame", simulator.ball + 0.1)
-        targets(PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED).publish(point)
+        targets(PointStamped, Ball.topics.target.name, ros.QOS_LATCHED).publish(point)
 
     def state():
         return ros.from_status(statuses[-1])["state"] if statuses else ""

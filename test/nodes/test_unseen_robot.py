@@ -8,14 +8,15 @@ from std_srvs.srv import Trigger
 from unseen_robot import FRAME, UnseenRobot
 
 from fvs_ros import ros, topics
+from fvs_ros.kinds import KINDS
 
 SEED, COLLECT_S = 4, 10.0
 
 
-@pytest.mark.parametrize("feature", topics.FEATURES)
+@pytest.mark.parametrize("feature", tuple(KINDS))
 def test_a_robot_never_seen_before_is_learned_and_servoed_over_its_topics_alone(ros_test, feature):
     """Of a ball six joints, of a tag's pose seven, by anybody's PoseStamped."""
-    robot = UnseenRobot(SEED, feature == topics.POSE)
+    robot = UnseenRobot(SEED, feature == "pose")
     served = robot.feature
     ros_test.start("unseen_robot", str(SEED), "60", feature)
     data, model = ros_test.folder / "data.npz", ros_test.folder / "model.npz"
@@ -27,7 +28,7 @@ def test_a_robot_never_seen_before_is_learned_and_servoed_over_its_topics_alone(
     trainer = ros_test.start("fvs_tools.train", str(data), "-o", str(model), "--method", "poe")
     assert ros_test.wait(trainer, 60.0) == 0, ros_test.output(trainer)
 
-    kind = PoseStamped if feature == topics.POSE else PointStamped
+    kind = PoseStamped if feature == "pose" else PointStamped
     truth = ros_test.collect(kind, "truth")
     statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
     ros_test.start_node("fvs_estimator_node.node", model_path=model, method="poe", **given)

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 from cases import each
 
+from fvs_controller_node.agreement import Agreement
 from fvs_controller_node.monitors import LEAST_SEEN
-from fvs_controller_node.prediction import Agreement
-from fvs_ros.tracker import Image
+from fvs_ros.filter import Image
 
 IMAGE_S = 1.0 / 30.0
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def image(stamp_s, seen_m, moved_m):
+    return Image(stamp_s, np.zeros(0), seen_m, seen_m, moved_m)
 
 
 def verdicts(seen_of, way_of, seconds=4.0, noise_m=0.0, seed=1):
@@ -20,7 +24,7 @@ def verdicts(seen_of, way_of, seconds=4.0, noise_m=0.0, seed=1):
     for k in range(round(seconds / IMAGE_S)):
         t = k * IMAGE_S
         seen = seen_of(t) + noise_m * rng.normal(size=3)
-        agreement.add(Image(t, seen, np.asarray(way_of(t))), max(noise_m, 5e-5))
+        agreement.add(image(t, seen, np.asarray(way_of(t))), max(noise_m, 5e-5))
         yield t, agreement.verdict
 
 
@@ -89,9 +93,9 @@ def test_a_camera_that_is_bumped_is_neither_frozen_nor_opposite():
 def test_neither_a_gap_between_images_nor_a_clock_that_steps_back_forgives_anything(step_s):
     agreement = Agreement()
     for k in range(40):
-        agreement.add(Image(k * IMAGE_S, np.zeros(3), np.array([0.01 * k, 0.0, 0.0])), 1e-3)
+        agreement.add(image(k * IMAGE_S, np.zeros(3), np.array([0.01 * k, 0.0, 0.0])), 1e-3)
     assert agreement.verdict is not None
-    agreement.add(Image(k * IMAGE_S + step_s, np.zeros(3), np.array([0.01 * k, 0.0, 0.0])), 1e-3)
+    agreement.add(image(k * IMAGE_S + step_s, np.zeros(3), np.array([0.01 * k, 0.0, 0.0])), 1e-3)
     assert agreement.verdict.seen_share < LEAST_SEEN
     assert 0.0 < agreement.verdict.time_s < 2.0
 

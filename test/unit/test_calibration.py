@@ -16,7 +16,7 @@ from fvs_estimator_node.hand_eye_checks import ordered
 from fvs_estimator_node.hand_eye_model import HandEyeModel
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.camera import CameraModel, Intrinsics
-from fvs_ros.feature import PoseFeature
+from fvs_ros.kinds.pose import Pose
 from fvs_ros.paths import find_file
 from fvs_ros.rotations import rotation_angle_rad
 from fvs_ros.urdf import kinematics, read_joints
@@ -44,9 +44,9 @@ def collected(
     )
     chain = arm.reversed() if on_arm else arm
     place_m, turn = TAG
-    pose = PoseFeature(0.3)
+    pose = Pose(0.3)
     tip = chain.tip_rotation, chain.tip_m
-    at_zero = pose.of(tip[0] @ place_m + tip[1], tip[0] @ turn)
+    at_zero = pose.of_body(tip[0] @ place_m + tip[1], tip[0] @ turn)
     order = slice(None, None, -1) if on_arm else slice(None)
     seen = chain.chain(at_zero).moved(CAMERA.rotation.T, -CAMERA.rotation.T @ CAMERA.position_m)
     feature_m = seen.position(joints[:, order])
@@ -54,10 +54,9 @@ def collected(
         feature_m = feature_m[:, :3] + rng.normal(0.0, noise_m, (len(time_s), 3))
     else:
         step = rng.normal(0.0, noise_m, (len(time_s), 6))
-        feature_m = np.array([pose.displaced(a, b) for a, b in zip(feature_m, step, strict=True)])
+        feature_m = np.array([pose.retract(a, b) for a, b in zip(feature_m, step, strict=True)])
     return DataSet(
         time_s, reported, feature_m, np.zeros(len(time_s), int), ARM.names, feature=feature,
-        lever_arm_m=0.3,
     )  # fmt: skip
 
 
@@ -133,7 +132,7 @@ def lens(data, focal=1.0, k1=0.0):
 
 def tags(data, focal=1.0, k1=0.0):
     """The poses of tags of 10 cm by their corners in such images, half a pixel off."""
-    pose, camera, rng = PoseFeature(0.3), np.diag([600.0, 600.0, 1.0]), np.random.default_rng(4)
+    pose, camera, rng = Pose(0.3), np.diag([600.0, 600.0, 1.0]), np.random.default_rng(4)
     corners = 0.05 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     seen = []
     for one in data.ball_m:
@@ -143,7 +142,7 @@ def tags(data, focal=1.0, k1=0.0):
         image = 600.0 * factor * tangent + rng.normal(0.0, 0.1, (4, 2))
         about = cv2.Rodrigues(pose.rotation(one))[0], one[:3].reshape(3, 1).copy()
         turn, place = cv2.solvePnPRefineLM(corners, image, camera, None, *about)
-        seen.append(pose.of(place.ravel(), cv2.Rodrigues(turn)[0]))
+        seen.append(pose.of_body(place.ravel(), cv2.Rodrigues(turn)[0]))
     return replace(data, ball_m=np.array(seen))
 
 
@@ -405,17 +404,15 @@ def test_what_the_robot_says_of_its_tool_is_no_tag(stand):
             '<joint name="stands" type="fixed"><parent link="world"/><child link="base_link"/>'
             '<origin xyz="0.5 0 0.8"/></joint></robot>',
         )
-    arm, data, pose = kinematics(read_joints(text)), collected(seconds=20.0), PoseFeature(0.3)
+    arm, data, pose = kinematics(read_joints(text)), collected(seconds=20.0), Pose(0.3)
     turns, places_m = arm.tip_at(data.joints_rad)
     base_m = np.array([0.5, 0.0, 0.8]) if stand else np.zeros(3)
     half = np.diag([-1.0, -1.0, 1.0])  # as a UR's "base" to its "base_link"
     told = [
-        pose.of(half @ (place_m - base_m), half @ turn.T)
+        pose.of_body(half @ (place_m - base_m), half @ turn.T)
         for place_m, turn in zip(places_m, turns, strict=True)
     ]
-    data = replace(
-        data, ball_m=np.array(told), feature="pose", lever_arm_m=0.3, feature_frame="base"
-    )
+    data = replace(data, ball_m=np.array(told), feature="pose", feature_frame="base")
     word, reason = calibrate(data, arm).verdict
     assert word == "unusable"
     assert "base is where the arm's base is" in reason

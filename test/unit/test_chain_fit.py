@@ -12,7 +12,7 @@ from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import PoseFeature
+from fvs_ros.kinds.pose import Pose
 
 
 def error_of(fit, recording):
@@ -224,15 +224,15 @@ def test_what_cannot_be_fitted_is_refused_in_words(spoilt, words):
 
 def pose_recording(recording, noise_m=3e-4, noise_rad=1e-3):
     """The chain with a tag on its last axis, where a ball would not move, and what is recorded."""
-    pose, rng = PoseFeature(0.3), np.random.default_rng([recording.seed, 9])
+    pose, rng = Pose(0.3), np.random.default_rng([recording.seed, 9])
     chain = recording.chain()
     axis, point = chain.axes[5], chain.points_m[5]
     place_m = point + axis * (axis @ (chain.feature_m - point))
-    chain = replace(chain, feature_m=pose.of(place_m, random_rotation(rng)))
+    chain = replace(chain, feature_m=pose.of_body(place_m, random_rotation(rng)))
     stamps = np.arange(round(30.0 * recording.seconds)) / 30.0 + 1.0
     noise = rng.normal(size=(len(stamps), 6)) * ([noise_m] * 3 + [0.3 * noise_rad] * 3)
     exact = chain.position(recording.joints(stamps - recording.late_s))
-    seen = np.array([pose.displaced(*one) for one in zip(exact, noise, strict=True)])
+    seen = np.array([pose.retract(*one) for one in zip(exact, noise, strict=True)])
     run = np.zeros(len(stamps), dtype=int)
     return chain, DataSet(stamps, recording.joints(stamps), seen, run, feature="pose")
 

@@ -79,7 +79,7 @@ class Cell:
 
     def take_ball(self, ball, stamp_s):
         self.ball_s = self.now_s if self.is_news("ball", stamp_s) else self.ball_s
-        self.run.ball(self.now_s, stamp_s, ball)
+        self.run.image(self.now_s, stamp_s, ball)
 
     def pass_time(self, joints=True, ball=True, steady_s=DT_S, stamp_s=DT_S, dt_s=None):
         self.beats += 1
@@ -239,7 +239,7 @@ def stalled_run(config, home, rng, longest_s, ticks):
         stalled = now_s > stalls_s
         if not stalled:
             run.joint_states(now_s, now_s, joints)
-            run.ball(now_s, now_s, np.array([0.1, 0.2, 1.4]))
+            run.image(now_s, now_s, np.array([0.1, 0.2, 1.4]))
         if ticks or not stalled:
             command = run.tick(now_s, now_s - ticked_s)
             ticked_s = now_s
@@ -271,7 +271,7 @@ def test_a_slide_moves_in_proportion_to_its_range_and_its_sentences_say_m():
         (5.1, 0.191, "slide left its box or its range: it is at 0.191 m, expected 0.01 to 0.19 m"),
     ):
         run.joint_states(now_s, now_s, np.array([0.0, slide_m]))
-        run.ball(now_s, now_s, np.array([0.0, 0.0, 1.0]))
+        run.image(now_s, now_s, np.array([0.0, 0.0, 1.0]))
         run.tick(now_s, DT_S)
         assert words in run.reason
 
@@ -286,7 +286,7 @@ def test_ranges_that_come_late_hold_from_then_on(comes_s):
             joints = np.array([0.0, 0.1])  # it may be anywhere before
             run.configure(sliding_arm())
         run.joint_states(now_s, now_s, joints)
-        run.ball(now_s, now_s, np.array([0.0, 0.0, 1.0]))
+        run.image(now_s, now_s, np.array([0.0, 0.0, 1.0]))
         command = run.tick(now_s, DT_S)
         waits = tick * DT_S < min(comes_s - DT_S, 2.0)
         assert not (waits and command.any())
@@ -339,7 +339,7 @@ def test_a_jerk_limit_holds_in_motion_and_while_it_stops_and_zeros_are_reached()
     for tick in range(500):
         now_s = 5.0 + DT_S * tick
         run.joint_states(now_s, now_s, joints)
-        run.ball(now_s, now_s, np.array([0.0, 0.0, 1.0]))
+        run.image(now_s, now_s, np.array([0.0, 0.0, 1.0]))
         if tick == 350:
             assert np.abs(commands[-1]).max() > 0.3
             run.fail("enough")

@@ -56,7 +56,7 @@ def test_values_that_do_not_fit_together_change_nothing():
         loop.configure(default_values(lambda1=0.9, lambda2=0.4))
     with pytest.raises(ValueError, match="workspace"):
         loop.configure(default_values(workspace_min_m=[5.0, 0.0, 0.0]))
-    with pytest.raises(ValueError, match="need 3 numbers each, got 2"):
+    with pytest.raises(ValueError, match="needs 3 numbers, got 2"):
         loop.configure(default_values(workspace_min_m=[0.0, 0.0], workspace_max_m=[1.0, 1.0]))
     assert loop.law is law
     assert loop.supervisor.config is config

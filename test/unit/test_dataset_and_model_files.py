@@ -19,13 +19,14 @@ from fvs_estimator_node.files import (
 )
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.chain import CHAIN_SHAPES
-from fvs_ros.feature import ServoedConfig
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.kinds import KindConfig
+from fvs_ros.kinds.pose import Pose
 
 
 def some_data(n=8, names=("a", "b", "c")):
     rng = np.random.default_rng(0)
-    joints, ball = rng.normal(size=(n, len(names))), rng.normal(size=(n, 2))
+    joints, ball = rng.normal(size=(n, len(names))), rng.normal(size=(n, 3))
     provenance = {"robot": "none", "seed": 3}
     return DataSet(np.arange(n) / 30.0, joints, ball, np.arange(n) // 4, names, "lens", provenance)
 
@@ -44,15 +45,15 @@ def some_model():
     )
 
 
-KINDS = {
+FILES = {
     "data set": (save_data_set, load_data_set, some_data, "stamps_s", "joints_rad"),
     "model": (save_model, load_model, some_model, "widths", "centres"),
 }
 
 
-@pytest.fixture(params=KINDS)
+@pytest.fixture(params=FILES)
 def kind(request):
-    return KINDS[request.param]
+    return FILES[request.param]
 
 
 @pytest.fixture
@@ -93,7 +94,7 @@ def test_a_data_set_comes_back_as_it_was(tmp_path):
 def test_a_model_comes_back_as_it_was(tmp_path, has_chain):
     trained = some_model() if has_chain else replace(some_model(), chain=None)
     save_model(tmp_path / "m.npz", trained)
-    back = load_model(tmp_path / "m.npz", servoed=ServoedConfig())
+    back = load_model(tmp_path / "m.npz", expected=KindConfig())
     for name in ("centres", "widths", "weights"):
         np.testing.assert_array_equal(getattr(back.model, name), getattr(trained.model, name))
     for name in ("joint_box_rad", "ball_box_m", "ball_samples_m"):
@@ -143,7 +144,7 @@ ZERO_AXIS[2] = 0.0
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, name, changes, words):
-    kind = KINDS[name]
+    kind = FILES[name]
     kind[0](tmp_path / "x.npz", kind[2]())
     rewrite(tmp_path / "x.npz", **changes)
     refused(kind, tmp_path / "x.npz", words)
@@ -161,7 +162,7 @@ def test_pickles_are_not_opened(kind, written, tmp_path):
 
 def test_another_joint_order_and_another_frame(kind, written):
     refused(kind, written, "joint order", joint_names=tuple(sorted(UR_JOINT_NAMES)))
-    refused(kind, written, "expected 'base'", servoed=ServoedConfig("base"))
+    refused(kind, written, "expected 'base'", expected=KindConfig("base"))
 
 
 def test_writing_is_all_or_nothing(kind, written, monkeypatch):
@@ -177,33 +178,23 @@ def test_writing_is_all_or_nothing(kind, written, monkeypatch):
     assert os.listdir(written.parent) == [written.name]
 
 
-def test_a_pose_is_read_with_any_lever_arm_and_not_as_a_ball(tmp_path):
-    recorded, wanted = (ServoedConfig("lens", "pose", arm) for arm in (0.3, 0.6))
-    rng, pose = np.random.default_rng(1), recorded.servoed
-    chain = replace(ur5_chain(), feature_m=pose.of(rng.normal(size=3), np.eye(3)))
+def test_a_pose_is_read_as_a_pose_and_not_as_a_ball(tmp_path):
+    rng, pose, of = np.random.default_rng(1), Pose(), {"feature": "pose", "feature_frame": "lens"}
+    chain = replace(ur5_chain(), feature_m=pose.of_body(rng.normal(size=3), np.eye(3)))
     joints = rng.normal(size=(12, 6))
     seen = chain.position(joints)
-    data = DataSet(np.arange(12.0), joints, seen, np.zeros(12), **vars(recorded))
-    boxes = boxes_of(joints, seen, rng)
     networks = RbfModel(rng.normal(size=(6, 4, 6)), np.ones((6, 4)), rng.normal(size=(6, 12, 4)))
-    model = TrainedModel(
-        networks, **boxes, joint_names=UR_JOINT_NAMES, chain=chain, **vars(recorded)
-    )
-    save_data_set(tmp_path / "d.npz", data)
+    boxes = boxes_of(joints, seen, rng)
+    save_data_set(tmp_path / "d.npz", DataSet(np.arange(12.0), joints, seen, np.zeros(12), **of))
+    model = TrainedModel(networks, **boxes, joint_names=UR_JOINT_NAMES, chain=chain, **of)
     save_model(tmp_path / "m.npz", model)
-    back = load_model(tmp_path / "m.npz", servoed=wanted)
-    scale = np.repeat([1.0, 2.0], [3, 9])
-    np.testing.assert_allclose(
-        load_data_set(tmp_path / "d.npz", servoed=wanted).ball_m, seen * scale
-    )
-    np.testing.assert_allclose(back.chain.position(joints), seen * scale)
-    np.testing.assert_allclose(
-        back.model.jacobian(joints), networks.jacobian(joints) * scale[:, None]
-    )
-    assert back.servoed.lever_arm_m == back.lever_arm_m == 0.6
-    np.testing.assert_array_equal(load_data_set(tmp_path / "d.npz").ball_m, seen)
+    wanted = KindConfig("lens", "pose")
+    data = load_data_set(tmp_path / "d.npz", expected=wanted)
+    np.testing.assert_array_equal(data.ball_m, seen)
+    back = load_model(tmp_path / "m.npz", expected=wanted)
+    np.testing.assert_allclose(back.chain.position(joints), seen)
     with pytest.raises(FileError, match="made for feature pose, expected ball"):
-        load_model(tmp_path / "m.npz", servoed=ServoedConfig("lens"))
-    rewrite(tmp_path / "d.npz", lever_arm_m=np.array([0.3, 0.3]))
-    with pytest.raises(FileError, match="'lever_arm_m' that is not a number"):
+        load_model(tmp_path / "m.npz", expected=KindConfig("lens"))
+    rewrite(tmp_path / "d.npz", ball_m=2.0 * seen)
+    with pytest.raises(FileError, match="is no pose"):
         load_data_set(tmp_path / "d.npz")

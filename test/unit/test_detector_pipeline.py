@@ -9,7 +9,7 @@ from cases import each
 from drawn_balls import RADIUS_M, VGA, draw, hide
 
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detector import Detector, annotate
+from fvs_detector_node.detector import BallDetector, annotate
 from fvs_detector_node.images import Rectifier, Region
 from fvs_ros.camera import CameraModel, camera_model
 
@@ -20,7 +20,7 @@ K = [615.0, 0.0, 319.5, 0.0, 615.0, 239.5, 0.0, 0.0, 1.0]
 
 
 def detector(**values):
-    return Detector(DetectorConfig(**values))
+    return BallDetector(DetectorConfig(**values))
 
 
 def ball(*centres):

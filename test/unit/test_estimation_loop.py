@@ -25,6 +25,7 @@ class Told(Estimator):
     """Knows the Jacobian, and notes what it is told."""
 
     def __init__(self):
+        super().__init__()
         self.why = ""
         self.balls, self.noises_m, self.steps, self.resets = [], [], [], 0
 
@@ -32,7 +33,7 @@ class Told(Estimator):
     def problem(self):
         return self.why
 
-    def jacobian(self, joints_rad):
+    def jacobian(self, joints_rad, z=None):
         return JACOBIAN
 
     def observe(self, joints_rad, ball_m, noise_m):
@@ -51,9 +52,10 @@ def play(loop, start_s, end_s, off=lambda time_s: 0.0, late_s=0.0):
     image = int(np.ceil(start_s / IMAGE_S))
     for time_s in np.arange(start_s, end_s, STATE_S):
         loop.add_joints(time_s, joints(time_s))
+        loop.jacobian(joints(time_s))
         while image * IMAGE_S + max(late_s, 0.0) < time_s:
             seen_s = image * IMAGE_S
-            loop.add_feature(seen_s + late_s, JACOBIAN @ joints(seen_s) + off(seen_s))
+            loop.add_image(seen_s + late_s, JACOBIAN @ joints(seen_s) + off(seen_s))
             image += 1
 
 

@@ -8,6 +8,8 @@ from fvs_controller_node.config import LAWS, default_values
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason
 from fvs_ros.chain import SerialChain
+from fvs_ros.kinds import KINDS
+from fvs_ros.kinds.ball import Ball
 
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 DT_S = 0.008
@@ -36,7 +38,7 @@ class Cell:
             self.now_s += DT_S
             self.loop.add_jacobian(self.now_s, self.jacobian)
             self.loop.add_joints(self.now_s, self.now_s, self.joints)
-            self.loop.add_feature(self.now_s, self.now_s - 0.02, np.array([0.0, 0.0, 1.0]))
+            self.loop.add_image(self.now_s, self.now_s - 0.02, np.array([0.0, 0.0, 1.0]))
             command = self.loop.tick(self.now_s, DT_S)
         return command
 
@@ -48,7 +50,7 @@ class Cell:
 
     @property
     def target_m(self):
-        return self.loop.supervisor.goal.target_m
+        return self.loop.supervisor.goal.target
 
 
 @pytest.fixture
@@ -85,7 +87,7 @@ def test_a_moving_target_is_extrapolated_until_it_is_set_to_the_current_position
     # 2 mm every 8 ms is a quarter of a metre a second: by now it has gone on
     np.testing.assert_allclose(servoing.target_m, TARGET + [0.024, 0.0, 0.0], atol=1e-6)
     assert not servoing.target(np.array([0.0, 0.0, 9.0]))
-    velocity = servoing.loop.supervisor.goal.motion.at(servoing.now_s).velocity_m_s
+    velocity = servoing.loop.supervisor.goal.velocity_m_s
     np.testing.assert_allclose(velocity, [0.25, 0.0, 0.0], atol=1e-6)
     assert servoing.loop.set_current_as_target(servoing.now_s)[0]
     here = servoing.target_m
@@ -129,7 +131,13 @@ def test_beyond_the_workspace_the_arm_does_not_follow_a_target(servoing):
 
 @each("law", LAWS)
 @each(("features", "joints"), [(1, 1), (2, 6), (3, 2), (3, 7), (6, 7), (8, 6)])
-def test_every_law_drives_any_number_of_features_with_any_number_of_joints(law, features, joints):
+def test_every_law_drives_any_number_of_features_with_any_number_of_joints(
+    monkeypatch, law, features, joints
+):
+    class Numbers(Ball):
+        axes, places = tuple("abcdefgh"[:features]), features
+
+    monkeypatch.setitem(KINDS, "ball", Numbers)
     loop = ServoLoop(
         default_values(
             law=law,
@@ -148,7 +156,7 @@ def test_every_law_drives_any_number_of_features_with_any_number_of_joints(law, 
     for tick in range(400):
         now_s = DT_S * tick
         if tick % 4 == 0:
-            loop.add_feature(now_s, now_s, jacobian @ moved)
+            loop.add_image(now_s, now_s, jacobian @ moved)
         loop.add_jacobian(now_s, jacobian)
         loop.add_joints(now_s, now_s, moved)
         if tick == 40:

@@ -6,7 +6,7 @@ from pathlib import Path
 import yaml
 
 from fvs_controller_node.loop import ServoLoop
-from fvs_ros import topics
+from fvs_ros import contract, topics
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -14,7 +14,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "config"
 def known_topics():
     return {
         topics.resolve(topic.name, node): topic.type
-        for topic in topics.TOPICS
+        for topic in contract.TOPICS
         for node in topic.publishers
     }
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fvs_controller_node.reasons import Reason, State
-from fvs_ros import topics
+from fvs_ros import contract, topics
 from fvs_ros.topics import NODES, resolve
 from fvs_tools import reference
 from fvs_tools.reference import OPERATOR, policy
@@ -34,7 +34,7 @@ def test_the_page_names_everything_in_whole_tables():
         assert len({len(re.findall(r"(?<!\\)\|", line)) for line in table.splitlines()}) == 1, table
     for node, on_the_wire in NODES.items():
         assert f"\n## {node}\n" in page
-        for topic in (*topics.publishers(node), *topics.subscribers(node)):
+        for topic in (*contract.publishers(node), *contract.subscribers(node)):
             assert f"`{topic.name}`" in page
         for service in on_the_wire.serves:
             assert f"`{service}`" in page

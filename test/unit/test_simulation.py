@@ -88,7 +88,7 @@ def test_the_ball_comes_from_the_image(make, size):
     simulation = make(image_width=size[0], image_height=size[1])
     assert simulation.intrinsics.fx == pytest.approx(615.0 * size[0] / 640)
     seen = observations(drive_waves(simulation, 125))
-    errors = [np.linalg.norm(o.detection.position_m - o.true_position_m) for o in seen]
+    errors = [np.linalg.norm(o.z - o.true_position_m) for o in seen]
     assert 0.0 < np.sqrt(np.mean(np.square(errors))) < 1.5e-3 * 640 / size[0]
 
 
@@ -104,7 +104,7 @@ def assert_white(errors, deviation):
 def test_position_noise_is_white_on_each_axis(make, rendered, images):
     simulation = make(position_noise_m=0.01, depth_noise=0.0, rendered=rendered)
     seen = [simulation.look() for _ in range(images)]
-    assert_white(np.array([o.detection.position_m - o.true_position_m for o in seen]), 0.01)
+    assert_white(np.array([o.z - o.true_position_m for o in seen]), 0.01)
 
 
 def test_encoder_noise_is_white_on_what_is_reported_and_moves_no_joint(make):
@@ -171,7 +171,7 @@ def test_an_own_camera_that_is_bumped_turns_about_itself(make):
 def trace(simulation):
     steps = drive_waves(simulation, 60)
     joints = np.array([s.joints_rad for s in steps])
-    balls = np.array([o.detection.position_m for o in observations(steps)])
+    balls = np.array([o.z for o in observations(steps)])
     return joints, balls
 
 

@@ -17,7 +17,7 @@ from fvs_estimator_node.chain_fit import ChainFitError, fit_chain
 from fvs_estimator_node.files import DataSet, load_data_set, load_model, save_data_set
 from fvs_estimator_node.hand_eye import calibrate
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import PoseFeature
+from fvs_ros.kinds.pose import Pose
 from fvs_tools import calibrate as calibrating
 from fvs_tools import train as training
 from fvs_tools.bag import Bag
@@ -49,7 +49,7 @@ def test_a_joint_may_be_at_rest_in_still_poses():
     data = stills()
     joints = data.joints_rad.copy()
     joints[:, 4] = joints[0, 4]
-    chain = ARM.chain(PoseFeature(0.3).of(ARM.tip_m, ARM.tip_rotation))
+    chain = ARM.chain(Pose(0.3).of_body(ARM.tip_m, ARM.tip_rotation))
     seen = chain.moved(CAMERA.rotation.T, -CAMERA.rotation.T @ CAMERA.position_m).position(joints)
     found = calibrate(replace(data, joints_rad=joints, ball_m=seen), ARM)
     assert errors(found)[0] < 1e-4
@@ -96,7 +96,7 @@ def test_a_prismatic_joint_is_found_in_still_poses():
     """Of a SCARA arm, before a camera that is turned anyhow."""
     rng, upright = np.random.default_rng(0), np.tile([0.0, 0.0, 1.0], (4, 1))
     points_m = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.6, 0.0, 0.0], [0.6, 0.0, 0.0]])
-    tag = PoseFeature(0.3).of(np.array([0.65, 0.03, 0.2]), TAG[1])
+    tag = Pose(0.3).of_body(np.array([0.65, 0.03, 0.2]), TAG[1])
     chain = SerialChain(upright, points_m, tag, np.zeros(4), np.array([0.0, 0.0, 1.0, 0.0]))
     chain = chain.moved(random_rotation(rng), np.array([0.0, 0.0, 1.5]))
     joints = rng.uniform(-1.0, 1.0, (60, 4)) * [0.8, 0.8, 0.1, 1.0]
@@ -143,7 +143,7 @@ def poses(places_m, rotations):
 
 
 def images_of(data):
-    feature = data.servoed
+    feature = data.kind
     return poses(data.ball_m[:, :3], [feature.rotation(feature.nearest(x)) for x in data.ball_m])
 
 

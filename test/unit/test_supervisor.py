@@ -8,18 +8,18 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from fvs_controller_node.agreement import Verdict
 from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.inbox import Inbox
-from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Reason, State
-from fvs_controller_node.supervisor import Command, Present, Supervisor
+from fvs_controller_node.supervisor import Command, Present, Supervisor, answer
 from fvs_ros.following import Following
 
 DT_S, LAG_S = 0.008, 0.03
 FRAME = "camera_color_optical_frame"
 JACOBIAN = np.eye(3, 6) * 0.5
 TARGET = np.array([0.0, 0.0, 1.0])
-INPUTS = {"joint_states", "ball_position", "jacobian"}
+INPUTS = {"joint_states", "feature", "jacobian"}
 NAN = float("nan")
 
 #: What the law wants unless a test says otherwise.
@@ -66,8 +66,8 @@ class Cell:
         supervisor, now_s, ball = self.supervisor, self.now_s, self.ball_at(self.age_s)
         if "joint_states" in self.talking:
             self.inputs.add("joint_states", now_s, self.joints)
-        if "ball_position" in self.talking:
-            self.inputs.add("ball_position", now_s, ball)
+        if "feature" in self.talking:
+            self.inputs.add("feature", now_s, ball)
         if "jacobian" in self.talking:
             self.inputs.add("jacobian", now_s, self.jacobian)
         before = supervisor.velocity_rad_s
@@ -80,7 +80,10 @@ class Cell:
         present = Present(
             self.joints, place, self.jacobian, waits, why, self.verdict, self.following.fault
         )
-        command = supervisor.tick(now_s, DT_S, present, self.propose)
+        finding, output = supervisor.permit(now_s, DT_S, present), None
+        if finding is None:
+            finding, output = answer(self.propose, before, 3)
+        command = supervisor.release(now_s, DT_S, finding, output)
         self.commands.append(command)
         self.joints = self.joints + self.follows * DT_S * command.velocity_rad_s
         step = np.abs(command.velocity_rad_s - before).max()
@@ -189,10 +192,10 @@ def lame(follows: object, within_s: tuple[float, float], joint: str) -> Row:
 
 ROWS = {
     "joints stale": stale("joint_states", 0.1),
-    "ball stale": stale("ball_position", 0.2),
+    "ball stale": stale("feature", 0.2),
     "jacobian stale": stale("jacobian", 0.2),
     "joints nan": bad(lambda inbox: inbox.add("joint_states", 0.0, np.full(6, NAN))),
-    "ball in mm": bad(lambda inbox: inbox.add("ball_position", 0.0, 200.0 * TARGET)),
+    "ball in mm": bad(lambda inbox: inbox.add("feature", 0.0, 200.0 * TARGET)),
     "jacobian nan": bad(lambda inbox: inbox.add("jacobian", 0.0, NAN * JACOBIAN)),
     "scaling nan": bad(lambda inbox: inbox.add_speed_scaling(0.0, NAN)),
     "no position": Row(changed(located=False), AT_ONCE, Reason.NO_POSITION, "disagree", *HEALS),
@@ -273,8 +276,8 @@ def test_a_slow_camera_may_lose_an_image_and_a_quick_one_is_late_as_ever(period_
     cell = Cell()
     times_s = cell.now_s + period_s * np.arange(1, 12)
     for now_s in times_s[[0, 1, 2, 3, 4, 5, 6, 7, 8, 10]]:
-        cell.inputs.add("ball_position", now_s, TARGET)
-    ball = cell.inputs["ball_position"]
+        cell.inputs.add("feature", now_s, TARGET)
+    ball = cell.inputs["feature"]
     assert ball.find(times_s[-1] + allowed_s - 0.001) is None
     late = ball.find(times_s[-1] + allowed_s + 0.001)
     assert late.reason is Reason.STALE
@@ -293,10 +296,11 @@ def test_it_waits_for_every_input_and_for_a_start_and_starts_softly(missing: str
     cell.talking -= {missing}
     command = cell.run(0.5)
     assert command.state is State.WAITING
-    assert f"no {missing} yet" in command.text
+    name = cell.inputs[missing].name if missing in INPUTS else missing
+    assert f"no {name} yet" in command.text
     started, why = cell.supervisor.start(cell.now_s)
     assert not started
-    assert missing in why
+    assert name in why
     cell.heal()
     cell.goal.set(TARGET, FRAME)
     assert cell.run(0.1).state is State.READY
@@ -353,7 +357,7 @@ def test_a_wrong_target_is_refused_and_the_old_one_stays(point, frame, words):
     accepted, why = cell.goal.set(np.array(point), frame)
     assert not accepted
     assert all(word in why for word in words)
-    np.testing.assert_array_equal(cell.goal.target_m, TARGET)
+    np.testing.assert_array_equal(cell.goal.target, TARGET)
     assert cell.tick().state is State.SERVOING
 
 
@@ -497,7 +501,7 @@ def test_neither_noisy_targets_nor_gaps_in_an_input_hide_an_error_that_grows(eve
         if cell.now_s - set_s >= every_s:
             set_s = cell.now_s
             if gaps:
-                cell.talking -= {"ball_position"}
+                cell.talking -= {"feature"}
                 cell.run(0.3)
                 cell.talking = set(INPUTS)
             else:

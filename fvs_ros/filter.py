@@ -1,59 +1,68 @@
-"""Tracks the feature from images and predicted motion, and finds outliers.
-
-One filter and one innovation (seen minus predicted) serve every method and law. Whether the image
-follows the arm is judged from the accepted images (:mod:`fvs_controller_node.prediction`).
-"""
+"""A Kalman filter of a path that joints move and images measure, with the noise that it learns."""
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from fvs_ros.vectors import length
 
-#: Share of the predicted motion that may be wrong. Smaller: a ball that moves differently from the
+#: Share of the predicted motion that may be wrong. Smaller: what moves differently from the
 #: prediction is followed late. Larger: noise is not averaged in motion.
-_MODEL_ERROR_SHARE = 0.05
+_MODEL_ERROR = 0.05
 #: The gain never falls below this: what is at rest may still drift.
 _LEAST_GAIN = 0.02
-#: Weight of a new innovation in their mean; the mean's bound, in deviations (exceeded by chance
-#: once in 10^5 images); and the bound of one innovation, in deviations. Without the last, the worst
-#: image of heavy-tailed noise looks like a ball that has moved.
-_MEAN_SHARE, _BEHIND, _MEAN_CLIP = 0.2, 5.0, 4.0
-#: An image further off is an outlier: in standard deviations, plus m.
-OUTLIER, _GATE_M = 6.0, 0.002
-#: After this count in a row the camera or ball moves, even if no two of them agree.
+#: Weight of a new innovation in their mean.
+_MEAN_SHARE = 0.2
+#: The mean's bound, in deviations: exceeded by chance once in 10^5 images.
+_BEHIND = 5.0
+#: Bound of one innovation in the mean, in deviations. Without it, the worst image of heavy-tailed
+#: noise looks like a tool that has moved.
+_MEAN_CLIP = 4.0
+#: An image further off than this many standard deviations is an outlier.
+OUTLIER = 6.0
+#: Slack of that, m: a small error that the noise does not tell.
+_GATE_M = 0.002
+#: After this count in a row the camera or the tool moves, even if no two of them agree.
 _REPEATS = 6
 
 #: Bounds of the standard deviation of a coordinate, m; it is taken for the largest at first.
 _LEAST_M, _MOST_M = 1e-4, 1e-2
-#: Count of second differences kept, and the weight of the initial guess among them.
-_WINDOW, _GUESS = 64, 4
-#: The lower quartile is used, which outliers hardly change: its z-score.
+#: Count of second differences kept.
+_WINDOW = 64
+#: Weight of the initial guess among them.
+_GUESS = 4
+#: z-score of the lower quartile, which outliers hardly change.
 _QUARTILE = -0.6745
 
 
 class Image(NamedTuple):
-    """One image, and the arm's motion up to it.
+    """One image, and the joints at its exposure.
 
     Parameters
     ----------
     stamp_s : float
         Exposure, s.
-    seen_m : ndarray, shape (m,)
-        The feature as seen, m.
-    moved_m : ndarray, shape (m,)
-        What the joints have moved it by then, ``sum J dr``, from any origin, m.
-    source : object
-        What the caller wants back with it.
+    joints_rad : ndarray, shape (n,)
+        Joints then, rad.
+    z : ndarray, shape (m,)
+        What was measured.
+    seen_m : ndarray, shape (d,)
+        The path of z up to here: the sum of its motions, m.
+    moved_m : ndarray, shape (d,)
+        The part of it that the joints explain, ``sum J dr``, from any origin, m.
+    run : int
+        Number of the continuous run it belongs to.
     """
 
     stamp_s: float
+    joints_rad: np.ndarray
+    z: np.ndarray
     seen_m: np.ndarray
     moved_m: np.ndarray
-    source: Any = None
+    run: int = 0
 
 
 class NoiseVariance:
@@ -80,37 +89,44 @@ class NoiseVariance:
         self._residual = self._change = None
 
     def add(self, residual_m: np.ndarray) -> None:
-        """Take the next residual, m, shape (m,)."""
+        """Take the next residual, m, shape (d,)."""
         change = None if self._residual is None else residual_m - self._residual
         if change is not None and self._change is not None:
             second = change - self._change
+            quartile = self._quartile(len(second))
             if not self._squares_m2:
-                self._squares_m2.extend([self._quartile(len(second)) * self.variance_m2] * _GUESS)
+                self._squares_m2.extend([quartile * self.variance_m2] * _GUESS)
             self._squares_m2.append(float(second.dot(second)))
-            found = sorted(self._squares_m2)[len(self._squares_m2) // 4]
-            found /= self._quartile(len(second))
-            self.variance_m2 = min(max(found, _LEAST_M**2), _MOST_M**2)
+            variance_m2 = sorted(self._squares_m2)[len(self._squares_m2) // 4] / quartile
+            self.variance_m2 = min(max(variance_m2, _LEAST_M**2), _MOST_M**2)
         self._residual, self._change = residual_m, change
 
     @staticmethod
-    def _quartile(m: int) -> float:
+    def _quartile(d: int) -> float:
         """Lower quartile of the square of a second difference, in variances of a coordinate."""
-        share = 2.0 / (9.0 * m)
-        return 6.0 * m * (1.0 - share + _QUARTILE * share**0.5) ** 3
+        share = 2.0 / (9.0 * d)
+        return 6.0 * d * (1.0 - share + _QUARTILE * share**0.5) ** 3
 
 
-class Tracker:
-    """Kalman filter of the feature's position, one axis like the other.
+class PathFilter:
+    """Kalman filter of the path x that images measure, one coordinate like the other.
 
     The variance of the estimate has two parts, ``P + w^2 |c|^2``: the remaining noise of past
     images, and a share w of the predicted motion c that no image has corrected yet. A wrong
-    Jacobian is as wrong at the next image, so its error grows with c at any speed of the ball;
-    noise does not. With the noise variance R and the gain
-    ``K = (P + w^2 |c|^2) / (P + w^2 |c|^2 + R)``, bounded from below,
+    Jacobian is as wrong at the next image, so its error grows with c at any speed; noise does not.
+    With the noise variance R, the innovation's variance is ``S = P + w^2 |c|^2 + R``, and with the
+    gain ``K = (P + w^2 |c|^2) / S``, bounded from below,
 
         c -> (1 - K) c,    P -> (1 - K)^2 P + K^2 R.
 
     At rest it averages the noise away; in motion it follows the images.
+
+    Attributes
+    ----------
+    x : ndarray, shape (d,), or None
+        The path at the newest image, m.
+    moved_m : ndarray, shape (d,)
+        What the joints had moved by then, m.
     """
 
     def __init__(self) -> None:
@@ -118,13 +134,11 @@ class Tracker:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the position; the learned noise stays."""
-        #: The feature at the newest image, m, (m,); None before the first.
-        self.estimate_m: np.ndarray | None = None
-        #: What the joints had moved it by then, m, (m,).
+        """Forget the path; the learned noise stays."""
+        self.x: np.ndarray | None = None
         self.moved_m = np.zeros(0)
-        self._variance_m2 = 0.0  # P
-        self._uncorrected = np.zeros(0)  # c
+        self._P = 0.0
+        self._c = np.zeros(0)
         self._mean = np.zeros(0)  # of the last innovations
         self._outliers: list[tuple[Image, np.ndarray]] = []  # and their innovations
         self.noise.restart()
@@ -137,11 +151,10 @@ class Tracker:
     @property
     def deviation_m(self) -> float:
         """Standard deviation of a coordinate of the estimate, m."""
-        return float(self._prediction_variance_m2() ** 0.5)
+        return float(self._predicted_m2() ** 0.5)
 
-    def _prediction_variance_m2(self) -> float:
-        far = self._uncorrected
-        return self._variance_m2 + _MODEL_ERROR_SHARE**2 * float(far.dot(far))
+    def _predicted_m2(self) -> float:
+        return self._P + _MODEL_ERROR**2 * float(self._c.dot(self._c))
 
     def add(self, image: Image) -> list[Image]:
         """Take an image.
@@ -152,23 +165,24 @@ class Tracker:
             Those that are accepted now, oldest first: this one; none, for an outlier; this one and
             the outliers before it, where they turn out to be true.
         """
-        if self.estimate_m is None:
+        if self.x is None:
             return self._reinitialise(image)
         motion = image.moved_m - self.moved_m
         self.moved_m = image.moved_m
-        self.estimate_m = self.estimate_m + motion
-        self._uncorrected = self._uncorrected + motion
-        innovation = image.seen_m - self.estimate_m
-        noise_m2, predicted_m2 = self.noise.variance_m2, self._prediction_variance_m2()
+        self.x = self.x + motion
+        self._c = self._c + motion
+        innovation = image.seen_m - self.x
+        R, predicted_m2 = self.noise.variance_m2, self._predicted_m2()
+        S = predicted_m2 + R
         off_m = (float(innovation.dot(innovation)) / len(innovation)) ** 0.5
-        if off_m <= OUTLIER * (predicted_m2 + noise_m2) ** 0.5 + _GATE_M:
-            gain = max(predicted_m2 / (predicted_m2 + noise_m2), _LEAST_GAIN)
-            self._variance_m2 = (1.0 - gain) ** 2 * self._variance_m2 + gain**2 * noise_m2
-            self._uncorrected = (1.0 - gain) * self._uncorrected
-            self.estimate_m = self.estimate_m + gain * innovation
+        if off_m <= OUTLIER * S**0.5 + _GATE_M:
+            K = max(predicted_m2 / S, _LEAST_GAIN)
+            self._P = (1.0 - K) ** 2 * self._P + K**2 * R
+            self._c = (1.0 - K) * self._c
+            self.x = self.x + K * innovation
             self._outliers.clear()
             self.noise.add(image.seen_m - image.moved_m)
-            self._inflate_on_bias(innovation, predicted_m2 + noise_m2)
+            self._inflate_on_bias(innovation, S)
             return [image]
         before = self._outliers[-1][1] if self._outliers else None
         self._outliers.append((image, innovation))
@@ -178,31 +192,31 @@ class Tracker:
         return self._reinitialise(image)
 
     def _agree(self, first_m: np.ndarray, second_m: np.ndarray, motion_m: np.ndarray) -> bool:
-        """Whether two outliers in a row, m, (m,), agree: the camera or ball was moved.
+        """Whether two outliers in a row, m, (d,), agree: the camera or the tool was moved.
 
         Detection errors seldom repeat. The predicted motion in between may be entirely wrong after
-        a turn of the camera.
+        the camera was turned.
         """
-        apart = length(second_m - first_m)
-        return apart <= OUTLIER * 2.0**0.5 * self.noise_m + 2.0 * length(motion_m)
+        apart_m = length(second_m - first_m)
+        return apart_m <= OUTLIER * 2.0**0.5 * self.noise_m + 2.0 * length(motion_m)
 
     def _reinitialise(self, image: Image) -> list[Image]:
         images = [outlier for outlier, _ in self._outliers] or [image]
         self._outliers = []
-        self.estimate_m, self.moved_m = image.seen_m.copy(), image.moved_m
-        for one in images:
-            self.noise.add(one.seen_m - one.moved_m)
-        self._variance_m2 = self.noise.variance_m2
-        self._uncorrected = np.zeros_like(image.seen_m)
+        self.x, self.moved_m = image.seen_m.copy(), image.moved_m
+        for accepted in images:
+            self.noise.add(accepted.seen_m - accepted.moved_m)
+        self._P = self.noise.variance_m2
+        self._c = np.zeros_like(image.seen_m)
         self._mean = np.zeros_like(image.seen_m)
         return images
 
-    def _inflate_on_bias(self, innovation_m: np.ndarray, total_m2: float) -> None:
+    def _inflate_on_bias(self, innovation_m: np.ndarray, S: float) -> None:
         """Inflate the variance when innovations keep one direction, whatever the cause."""
         norm_m = length(innovation_m)
-        heard = min(1.0, _MEAN_CLIP * total_m2**0.5 / max(norm_m, 1e-9))
-        self._mean = self._mean + _MEAN_SHARE * (heard * innovation_m - self._mean)
-        expected_m2 = total_m2 * _MEAN_SHARE / (2.0 - _MEAN_SHARE)
+        clipped = min(1.0, _MEAN_CLIP * S**0.5 / max(norm_m, 1e-9)) * innovation_m
+        self._mean = self._mean + _MEAN_SHARE * (clipped - self._mean)
+        expected_m2 = S * _MEAN_SHARE / (2.0 - _MEAN_SHARE)
         if float(self._mean.dot(self._mean)) > _BEHIND**2 * expected_m2:
-            self._variance_m2 += norm_m**2 / len(innovation_m)
+            self._P += norm_m**2 / len(innovation_m)
             self._mean = np.zeros_like(self._mean)

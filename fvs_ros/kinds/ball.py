@@ -1,0 +1,43 @@
+"""The position of a ball, m, in the camera's optical frame."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fvs_ros.kinds.kind import Kind
+from fvs_ros.topics import kind_topics
+from fvs_ros.vectors import plausible
+
+
+class Ball(Kind):
+    """z is the ball's centre, m, (3,)."""
+
+    name, what, model = "ball", "ball", "models/ur5_front.npz"
+    axes = ("x", "y", "z")
+    topics = kind_topics(
+        name,
+        "geometry_msgs/msg/PointStamped",
+        (
+            "ball_position",
+            "The ball's centre, m, in the camera's optical frame, stamped with the exposure; "
+            "silent while the ball is not seen.",
+        ),
+        ("target_position", "The desired ball position, m, in the frame of `ball_position`."),
+        (
+            "geometry_msgs/msg/Vector3Stamped",
+            "The control law's sliding variable after each image, for the estimator's update law.",
+        ),
+    )
+
+    def read(self, message: Any) -> np.ndarray:
+        """Position of a ``PointStamped``, m, (3,)."""
+        position_m = np.array([message.point.x, message.point.y, message.point.z], dtype=float)
+        if not plausible(position_m):
+            raise ValueError(f"is not finite, or too far: {position_m.tolist()}")
+        return position_m
+
+    def write(self, message: Any, z: np.ndarray) -> None:
+        """Fill in a ``PointStamped``."""
+        message.point.x, message.point.y, message.point.z = z.tolist()

@@ -1,0 +1,165 @@
+"""What a kind of feature is: how it is measured, how it moves, and what it is called."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fvs_ros.chain import cross_matrix
+from fvs_ros.topics import KindTopics
+from fvs_ros.vectors import length
+
+
+class Kind:
+    """A measurement is m numbers z; a motion of it is a tangent vector of d lengths, m.
+
+    This class is the kind whose numbers are lengths themselves, so that z is a vector and d is m.
+    Other kinds override what differs.
+
+    Attributes
+    ----------
+    name : str
+        Value of the parameter ``feature``.
+    what : str
+        What the camera looks for, in a word.
+    model : str
+        Trained model of the simulated arm that comes with the package.
+    topics : KindTopics
+        Where it is published.
+    axes : tuple of str
+        Names of the d components of a tangent vector.
+    unit : ndarray, shape (d,)
+        Length, m, of what a message gives as 1.
+    weights : ndarray, shape (m,)
+        Length, m, of a unit of each number of z.
+    places : int
+        Count of the first numbers of z that a workspace box bounds.
+    outliers : float
+        Share of images that are usually further off than their noise.
+    least_joints : int
+        Fewest joints that can servo it.
+    flat : bool
+        Whether a motion's tangent vector does not depend on z.
+    """
+
+    name = what = model = ""
+    topics: KindTopics
+    axes: tuple[str, ...] = ()
+    unit: np.ndarray
+    weights: np.ndarray
+    outliers = 0.01
+    places, least_joints = 3, 1
+    flat = True
+
+    def __init__(self, lever_arm_m: float = 1.0) -> None:
+        self.lever_arm_m = lever_arm_m
+        self.unit = self.weights = np.ones(len(self.axes))
+
+    @property
+    def numbers(self) -> int:
+        """Count of numbers of a measurement, m."""
+        return len(self.weights)
+
+    @property
+    def size(self) -> int:
+        """Count of components of a motion, d."""
+        return len(self.axes)
+
+    # ---- messages: any object with the fields of the message's type --------------------------
+
+    def read(self, message: Any) -> np.ndarray:
+        """Measurement of a message of the topics ``tool`` and ``target``; not checked for size.
+
+        A ``ValueError`` says what is wrong with it.
+        """
+        raise NotImplementedError
+
+    def write(self, message: Any, z: np.ndarray) -> None:
+        """Fill in such a message."""
+        raise NotImplementedError
+
+    def parse(self, numbers: np.ndarray) -> np.ndarray:
+        """Measurement of the numbers that a person writes, finite; a ``ValueError`` if wrong."""
+        if len(numbers) != self.numbers:
+            raise ValueError(f"expected {self.numbers} numbers, got {len(numbers)}")
+        return numbers
+
+    # ---- motion ------------------------------------------------------------------------------
+
+    def minus(
+        self, z: np.ndarray, origin: np.ndarray, before: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Motion from a measurement ``origin`` to z, m, (d,).
+
+        Where two directions are equally short but for noise, that of a motion ``before``, if
+        given, is kept.
+        """
+        return z - origin
+
+    def retract(self, z: np.ndarray, motion_m: np.ndarray) -> np.ndarray:
+        """The measurement that a motion, m, (d,), leads to from z: the inverse of ``minus``."""
+        return z + motion_m
+
+    def moved_by(self, z: np.ndarray, turns: np.ndarray, shifts_m: np.ndarray) -> np.ndarray:
+        """Motions, m, (..., d, n), of z by n twists of space: ``v + w x p`` of a point p.
+
+        Parameters
+        ----------
+        z : ndarray, shape (..., m)
+            The measurement.
+        turns, shifts_m : ndarray, shape (..., n, 3)
+            Angular velocity w, rad, and velocity v, m, of what is at the camera's origin.
+        """
+        moved = shifts_m + turns @ cross_matrix(z[..., :3])
+        return np.asarray(np.swapaxes(moved, -1, -2))
+
+    def to_tangent(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:
+        """Tangent vectors, (d, ...), of motions of the weighted numbers, m, (m, ...), at z."""
+        return motion_m
+
+    def from_tangent(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:
+        """Motions of the weighted numbers, (m, ...), of tangent vectors, m, (d, ...), at z."""
+        return motion_m
+
+    def nearest(self, numbers: np.ndarray) -> np.ndarray:
+        """The measurement nearest to any numbers, (m,): of a mean or a polynomial, say."""
+        return numbers
+
+    # ---- rigid bodies ------------------------------------------------------------------------
+
+    def of_body(self, position_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """What is measured of a body at a position, m, (3,), with a rotation matrix, (3, 3)."""
+        return position_m
+
+    def directions(self, z: np.ndarray) -> np.ndarray:
+        """Directions that turn with the body, weighted, m, (k, 3)."""
+        return np.zeros((0, 3))
+
+    # ---- words -------------------------------------------------------------------------------
+
+    def text(self, z: np.ndarray) -> str:
+        """A measurement in words."""
+        return f"({', '.join(f'{number:.3f}' for number in z)}) m"
+
+    def error_text(self, error_m: np.ndarray) -> str:
+        """An error, m, (d,), in words."""
+        return f"{1e3 * length(error_m):.1f} mm"
+
+    def parts_m(self, errors_m: np.ndarray) -> dict[str, np.ndarray]:
+        """Lengths, m, (...), of the parts of errors, m, (..., d), each of which is to vanish."""
+        return {"way_m": np.linalg.norm(errors_m, axis=-1)}
+
+    def status_values(self, error_m: np.ndarray | None) -> dict[str, float]:
+        """Lengths of an error, m and rad, by name; NaN without one."""
+        return {"error_m": float("nan") if error_m is None else length(error_m)}
+
+
+class ErrorText(NamedTuple):
+    """An error, m, (d,), that becomes words only when it is read."""
+
+    kind: Kind
+    error_m: np.ndarray
+
+    def __str__(self) -> str:
+        return self.kind.error_text(self.error_m)

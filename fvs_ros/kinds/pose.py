@@ -1,0 +1,167 @@
+"""The pose of a tag: position, m, and orientation, in the camera's optical frame.
+
+z is the position of the origin and, one after the other, the three axes as unit vectors: 12
+numbers of which six are free. A motion is that of the origin, m, and a rotation vector in the
+camera's frame times the *lever arm* L: turning by an angle counts like moving along its arc at L.
+In z, an axis weighs ``L / sqrt(2)``: then ``|dz|`` is the length of the motion, and tangent vectors
+are coordinates in an orthonormal basis.
+"""
+
+from __future__ import annotations
+
+from math import degrees, pi
+from typing import Any
+
+import numpy as np
+
+from fvs_ros.chain import cross_matrix
+from fvs_ros.kinds.kind import Kind
+from fvs_ros.rotations import (
+    QUATERNION_SLACK,
+    nearest_rotation,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_from_vector,
+    vector_from_rotation_rad,
+)
+from fvs_ros.topics import kind_topics
+from fvs_ros.vectors import length, plausible
+
+#: From here on noise may change which direction of rotation is the shorter one, rad.
+_HALF_TURN_RAD = 0.9 * pi
+
+
+class Pose(Kind):
+    """The pose of a tag; ``lever_arm_m`` is L."""
+
+    name, what, model = "pose", "tag", "models/ur5_front_pose.npz"
+    axes = ("x", "y", "z", "rx", "ry", "rz")
+    outliers = 0.05  # its noise depends on the view
+    least_joints, flat = 6, False
+    topics = kind_topics(
+        name,
+        "geometry_msgs/msg/PoseStamped",
+        (
+            "tool_pose",
+            "The tag's pose in the camera's optical frame, its x axis to the right, y up, z out of "
+            "the print, stamped with the exposure; silent while it is not seen or not certain.",
+        ),
+        ("target_pose", "The desired pose of the tag, in the frame of `tool_pose`."),
+        (
+            "std_msgs/msg/Float64MultiArray",
+            "The same of a pose: 3 components of its origin, 3 of its rotation.",
+        ),
+    )
+
+    def __init__(self, lever_arm_m: float = 0.3) -> None:
+        super().__init__(lever_arm_m)
+        self.unit = np.repeat([1.0, lever_arm_m], 3)
+        self._arm_m = lever_arm_m / 2.0**0.5
+        self.weights = np.repeat([1.0, self._arm_m], [3, 9])
+
+    def read(self, message: Any) -> np.ndarray:
+        """Pose of a ``PoseStamped``, (12,)."""
+        position, orientation = message.pose.position, message.pose.orientation
+        return self._of_numbers(
+            np.array([position.x, position.y, position.z]),
+            np.array([orientation.x, orientation.y, orientation.z, orientation.w]),
+        )
+
+    def write(self, message: Any, z: np.ndarray) -> None:
+        """Fill in a ``PoseStamped``."""
+        position, orientation = message.pose.position, message.pose.orientation
+        quaternion = quaternion_from_rotation(self.rotation(z)).tolist()
+        position.x, position.y, position.z = z[:3].tolist()
+        orientation.x, orientation.y, orientation.z, orientation.w = quaternion
+
+    def parse(self, numbers: np.ndarray) -> np.ndarray:
+        """Pose of a position, m, and a quaternion x, y, z, w."""
+        if len(numbers) != 7:
+            raise ValueError(f"expected 7 numbers, got {len(numbers)}")
+        return self._of_numbers(numbers[:3], numbers[3:])
+
+    def _of_numbers(self, position_m: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+        if not (plausible(position_m) and abs(length(quaternion) - 1.0) < QUATERNION_SLACK):
+            raise ValueError(
+                f"is no pose: position {position_m.tolist()}, quaternion {quaternion.tolist()}"
+            )
+        return self.of_body(position_m, rotation_from_quaternion(quaternion))
+
+    def minus(
+        self, z: np.ndarray, origin: np.ndarray, before: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Motion from a pose ``origin`` to z, m, (6,)."""
+        turn_rad = vector_from_rotation_rad(self.rotation(z) @ self.rotation(origin).T)
+        angle_rad = length(turn_rad)
+        if before is not None and angle_rad > _HALF_TURN_RAD and turn_rad.dot(before[3:]) < 0.0:
+            turn_rad = turn_rad * (1.0 - 2.0 * pi / angle_rad)
+        return np.append(z[:3] - origin[:3], self.lever_arm_m * turn_rad)
+
+    def retract(self, z: np.ndarray, motion_m: np.ndarray) -> np.ndarray:
+        """The pose that a motion, m, (6,), leads to from z."""
+        turn = rotation_from_vector(motion_m[3:] / self.lever_arm_m)
+        return np.append(z[:3] + motion_m[:3], z[3:].reshape(3, 3) @ turn.T)
+
+    def moved_by(self, z: np.ndarray, turns: np.ndarray, shifts_m: np.ndarray) -> np.ndarray:
+        """Motions, m, (..., 6, n), of z by n twists of space."""
+        linear = super().moved_by(z, turns, shifts_m)
+        angular = self.lever_arm_m * np.swapaxes(turns, -1, -2)
+        return np.concatenate([linear, angular], axis=-2)
+
+    def _basis(self, z: np.ndarray | None) -> np.ndarray:
+        """Orthonormal rows, (6, 12): the tangent vectors among those of the weighted numbers."""
+        assert z is not None
+        basis = np.zeros((6, 12))
+        basis[:3, :3] = np.eye(3)
+        turns = cross_matrix(z[3:].reshape(3, 3)) / 2.0**0.5
+        basis[3:, 3:] = np.swapaxes(turns, 0, 1).reshape(3, 9)
+        return basis
+
+    def to_tangent(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:
+        """Tangent vectors, (6, ...), of motions of the weighted numbers, m, (12, ...), at z."""
+        return self._basis(z) @ motion_m
+
+    def from_tangent(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:
+        """Motions of the weighted numbers, (12, ...), of tangent vectors, m, (6, ...), at z."""
+        return self._basis(z).T @ motion_m
+
+    def nearest(self, numbers: np.ndarray) -> np.ndarray:
+        """The pose with the same origin and the rotation nearest to the axes, (12,)."""
+        return self.of_body(numbers[:3], nearest_rotation(self.rotation(numbers)))
+
+    def of_body(self, position_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """The pose, (12,), of a position, m, (3,), and a rotation matrix, (3, 3)."""
+        return np.append(position_m, rotation.T)
+
+    def rotation(self, z: np.ndarray) -> np.ndarray:
+        """The rotation matrix of a pose, (3, 3)."""
+        return z[3:].reshape(3, 3).T
+
+    def directions(self, z: np.ndarray) -> np.ndarray:
+        """The axes, weighted, m, (3, 3): one a row."""
+        return self._arm_m * z[3:].reshape(3, 3)
+
+    def text(self, z: np.ndarray) -> str:
+        """A pose in words."""
+        quaternion = quaternion_from_rotation(self.rotation(z))
+        words = ", ".join(f"{number:.3f}" for number in quaternion)
+        return f"{super().text(z[:3])}, quaternion ({words})"
+
+    def error_text(self, error_m: np.ndarray) -> str:
+        """An error, m, (6,), in words."""
+        parts = self.status_values(error_m)
+        return f"{1e3 * parts['way_m']:.1f} mm and {degrees(parts['angle_rad']):.2f} degrees"
+
+    def parts_m(self, errors_m: np.ndarray) -> dict[str, np.ndarray]:
+        """Lengths, m, (...), of the ways and of the arcs of errors, m, (..., 6)."""
+        arc_m = np.linalg.norm(errors_m[..., 3:], axis=-1)
+        return {**super().parts_m(errors_m[..., :3]), "arc_m": arc_m}
+
+    def status_values(self, error_m: np.ndarray | None) -> dict[str, float]:
+        """Lengths of an error, m and rad, by name; NaN without one."""
+        parts = error_m if error_m is not None else np.full(6, np.nan)
+        return {
+            **super().status_values(error_m),
+            "way_m": length(parts[:3]),
+            "angle_rad": length(parts[3:]) / self.lever_arm_m,
+        }

@@ -1,0 +1,161 @@
+"""Kinds of features against scipy's rotations and finite differences, and no kind elsewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from scipy.spatial.transform import Rotation
+
+from fvs_ros.chain import SerialChain
+from fvs_ros.kinds import KINDS, kind_of
+from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.pose import Pose
+from fvs_ros.rotations import (
+    nearest_rotation,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_from_vector,
+    vector_from_rotation_rad,
+)
+
+LEVER_M = 0.3
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(1)
+
+
+def random_pose(rng: np.random.Generator) -> np.ndarray:
+    return Pose(LEVER_M).of_body(rng.normal(size=3), Rotation.random(random_state=rng).as_matrix())
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-12, 1e-5, 0.7, 2.5, 3.0, np.pi - 1e-9, np.pi])
+def test_rotations_agree_with_scipy(rng, angle_rad):
+    for _ in range(50):
+        axis = rng.normal(size=3)
+        vector = angle_rad * axis / np.linalg.norm(axis)
+        reference = Rotation.from_rotvec(vector)
+        matrix = rotation_from_vector(vector)
+        np.testing.assert_allclose(matrix, reference.as_matrix(), atol=1e-12)
+        found = Rotation.from_rotvec(vector_from_rotation_rad(matrix))
+        assert (found * reference.inv()).magnitude() < 1e-7
+        assert np.linalg.norm(vector_from_rotation_rad(matrix)) == pytest.approx(
+            angle_rad, abs=1e-7
+        )
+        quaternion = quaternion_from_rotation(matrix)
+        assert np.linalg.norm(quaternion) == pytest.approx(1.0)
+        np.testing.assert_allclose(rotation_from_quaternion(quaternion), matrix, atol=1e-7)
+
+
+def test_error_of_a_pose_is_way_and_turn(rng):
+    pose = Pose(LEVER_M)
+    target = random_pose(rng)
+    step = np.array([0.01, -0.02, 0.03, *(LEVER_M * np.array([0.4, -1.0, 0.2]))])
+    moved = pose.retract(target, step)
+    np.testing.assert_allclose(pose.minus(moved, target), step, atol=1e-12)
+    parts = pose.status_values(step)
+    assert parts["angle_rad"] == pytest.approx(np.linalg.norm([0.4, -1.0, 0.2]))
+    assert parts["way_m"] == pytest.approx(np.linalg.norm(step[:3]))
+    assert parts["error_m"] == pytest.approx(np.linalg.norm(step))
+    assert pose.error_text(step) == "37.4 mm and 62.76 degrees"
+    # As weighted numbers they are the chord apart.
+    chord_m = 2.0 * LEVER_M * np.sin(0.5 * parts["angle_rad"])
+    apart_m = np.linalg.norm(pose.weights * (moved - target))
+    assert apart_m == pytest.approx(np.hypot(parts["way_m"], chord_m))
+
+
+def test_tangent_vectors_are_derivatives_of_the_weighted_numbers(rng):
+    pose = Pose(LEVER_M)
+    at = random_pose(rng)
+    task = rng.normal(size=6)
+    tiny = 1e-6
+    motion = (pose.retract(at, tiny * task) - pose.retract(at, -tiny * task)) / (2.0 * tiny)
+    motion = pose.weights * motion
+    np.testing.assert_allclose(pose.from_tangent(at, task), motion, atol=1e-8)
+    np.testing.assert_allclose(pose.to_tangent(at, motion), task, atol=1e-8)
+    columns = rng.normal(size=(6, 7))
+    back = pose.to_tangent(at, pose.from_tangent(at, columns))
+    np.testing.assert_allclose(back, columns, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_kind_moves_with_the_twists_of_a_chain(rng, name):
+    kind = kind_of(name, LEVER_M)
+    carried = kind.of_body(rng.normal(size=3), Rotation.random(random_state=rng).as_matrix())
+    slide = np.array([0.0, 1.0, 0.0, 0.0])
+    chain = SerialChain(*rng.normal(size=(2, 4, 3)), carried, rng.normal(size=4), slide)
+    joints, tiny = rng.normal(size=4), 1e-6
+    motions = [
+        kind.minus(chain.position(joints + step), chain.position(joints - step)) / (2.0 * tiny)
+        for step in tiny * np.eye(4)
+    ]
+    np.testing.assert_allclose(
+        kind.moved_by(*chain.motion(joints)), np.transpose(motions), atol=1e-8
+    )
+
+
+def test_nearest_pose_undoes_small_errors(rng):
+    pose = Pose(LEVER_M)
+    at = random_pose(rng)
+    noisy = at + 1e-3 * rng.normal(size=12)
+    found = pose.nearest(noisy)
+    rotation = pose.rotation(found)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    assert pose.status_values(pose.minus(found, at))["angle_rad"] < 0.02
+    np.testing.assert_allclose(pose.nearest(at), at, atol=1e-12)
+    mirrored = nearest_rotation(np.diag([1.0, 1.0, -0.1]))
+    assert np.linalg.det(mirrored) == pytest.approx(1.0)
+
+
+def test_a_vector_is_its_own_task(rng):
+    ball, one, other = Ball(), rng.normal(size=3), rng.normal(size=3)
+    np.testing.assert_array_equal(ball.minus(one, other), one - other)
+    np.testing.assert_array_equal(ball.retract(one, other), one + other)
+    assert ball.to_tangent(one, other) is ball.from_tangent(one, other) is other
+    assert ball.nearest(one) is one
+    assert ball.axes == ("x", "y", "z")
+    assert ball.error_text(np.array([3e-3, 0.0, 4e-3])) == "5.0 mm"
+
+
+def test_at_half_a_turn_noise_does_not_change_the_way_round(rng):
+    pose = Pose(LEVER_M)
+    target, last = random_pose(rng), None
+    half = pose.retract(target, np.append(np.zeros(3), LEVER_M * np.pi * np.array([0, 0.6, 0.8])))
+    ways = []
+    for _ in range(50):
+        last = pose.minus(pose.retract(half, 1e-3 * rng.normal(size=6)), target, last)
+        ways.append(last)
+    assert np.ptp(ways, axis=0).max() < 0.02
+    assert np.linalg.norm(ways[-1][3:]) == pytest.approx(LEVER_M * np.pi, abs=0.01)
+
+
+def test_a_message_is_read_as_it_was_written_and_refused_if_it_is_no_pose(rng):
+    pose, message = Pose(LEVER_M), PoseStamped()
+    at = random_pose(rng)
+    pose.write(message, at)
+    np.testing.assert_allclose(pose.read(message), at, atol=1e-12)
+    message.pose.orientation.w += 0.5
+    with pytest.raises(ValueError, match="is no pose"):
+        pose.read(message)
+
+
+def test_only_registries_and_the_kinds_themselves_name_a_kind():
+    """A new kind is a file in ``fvs_ros/kinds`` and a line in each registry."""
+    registries = {"fvs_detector_node/node.py", "fvs_sim_node/tag.py"}
+    asks = re.compile(
+        r"""isinstance\([^)]*\b(Ball|Pose)\b|feature\s*[!=]=|==\s*["'](ball|pose)["']"""
+    )
+    asking = {
+        path.relative_to(ROOT).as_posix()
+        for package in ROOT.glob("fvs_*")
+        for path in package.rglob("*.py")
+        if asks.search(path.read_text("utf-8"))
+    }
+    assert asking <= registries | {"fvs_estimator_node/files.py"}  # compares with what was asked
