@@ -11,6 +11,7 @@ from fvs_controller_node.reasons import Reason, State
 from fvs_estimator_node.files import load_model
 from fvs_lab.trials import HOME_RAD, jacobian_error, make_cases, simulation_of
 from fvs_ros.chain import SerialChain
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import SimConfig, Simulation
 from fvs_tools.closed_loop import MODEL, ClosedLoop, make_estimator
@@ -170,7 +171,7 @@ def test_many_targets_in_a_row_are_reached_near_the_posture_of_the_start():
     away_rad = []
     for _ in range(20):
         seen_m = loop.simulation.true_ball_position()
-        _, errors_m = run(loop, choose_target(candidates_m, seen_m, 0.3, rng), 1.8)
+        _, errors_m = run(loop, choose_target(loop.kind, candidates_m, seen_m, 0.3, rng), 1.8)
         assert errors_m[-1] < 0.005
         away_rad.append(np.abs(loop.simulation.joints_rad - HOME_RAD).max())
     # Without the way back: 0.82 in the mean.
@@ -206,7 +207,7 @@ def rendered_loop(method="rbf", seed=1, **disturbances):
     candidates_m = load_model(find_file(MODEL)).ball_samples_m
 
     def target(distance_m=0.3):
-        return choose_target(candidates_m, simulation.true_ball_position(), distance_m, rng)
+        return choose_target(Ball(), candidates_m, simulation.true_ball_position(), distance_m, rng)
 
     return loop, target
 

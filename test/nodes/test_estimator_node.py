@@ -154,7 +154,7 @@ def test_without_a_model_it_hands_on_the_truth_or_learns_from_zero(ros_test):
     assert len(estimator.jacobians) == heard
 
     # Another method is chosen while the controller rests, and at no other time.
-    sliding = ros_test.publisher(Vector3Stamped, topics.SLIDING_VARIABLE.name)
+    sliding = ros_test.publisher(Vector3Stamped, Ball.topics.sliding.name)
     servoes = ros_test.node.create_timer(0.02, lambda: sliding.publish(Vector3Stamped()))
     ros_test.spin_for(0.1)
     answer = estimator.choose("lkf")

@@ -162,7 +162,7 @@ def test_a_recorder_that_gives_up_does_not_stop_the_arm(ros_test):
     process = ros_test.start(
         LAUNCHER, "servo", "--one-process", "--record", "bag", "--record-without-images"
     )
-    truths = ros_test.collect(PointStamped, topics.TRUE_BALL_POSITION.name)
+    truths = ros_test.collect(PointStamped, Ball.topics.truth.name)
     ros_test.spin_until(lambda: len(truths) > 10, 30.0, "the simulator")
     shutil.rmtree(ros_test.folder / "bag")
     ros_test.spin_until(

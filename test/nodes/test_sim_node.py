@@ -126,7 +126,7 @@ def test_a_viewer_learns_of_robot_and_camera_whenever_it_comes(ros_test):
     ros_test.start_node("fvs_sim_node.node", tf_prefix="left_")
     descriptions = ros_test.collect(String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED)
     poses = ros_test.collect(PoseStamped, topics.TRUE_CAMERA_POSE.name, ros.QOS_LATCHED)
-    balls = ros_test.collect(PointStamped, topics.TRUE_BALL_POSITION.name)
+    balls = ros_test.collect(PointStamped, Ball.topics.truth.name)
     states = ros_test.collect(JointState, topics.JOINT_STATES.name)
     ros_test.spin_until(lambda: descriptions and poses and balls and states)
     robot = ElementTree.fromstring(descriptions[0].data)

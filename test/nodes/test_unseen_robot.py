@@ -17,7 +17,7 @@ SEED, COLLECT_S = 4, 10.0
 def test_a_robot_never_seen_before_is_learned_and_servoed_over_its_topics_alone(ros_test, feature):
     """Of a ball six joints, of a tag's pose seven, by anybody's PoseStamped."""
     robot = UnseenRobot(SEED, feature == "pose")
-    served = robot.feature
+    served = robot.kind
     ros_test.start("unseen_robot", str(SEED), "60", feature)
     data, model = ros_test.folder / "data.npz", ros_test.folder / "model.npz"
     given = {"feature": feature, "joint_names": robot.names}
@@ -52,7 +52,7 @@ def test_a_robot_never_seen_before_is_learned_and_servoed_over_its_topics_alone(
         truth.clear()
         ros_test.spin_until(lambda: len(truth) > 20, what="where the ball is")
         errors = [
-            served.error(ros.from_feature(one, served, FRAME, "truth"), target) for one in truth
+            served.minus(ros.from_feature(one, served, FRAME, "truth"), target) for one in truth
         ]
         distance = np.linalg.norm(errors, axis=1)
         assert distance.max() < 0.005, statuses[-1].message

@@ -14,6 +14,7 @@ from fvs_estimator_node.rbf import RbfModel
 from fvs_estimator_node.registry import (
     create_estimator,
 )
+from fvs_ros.kinds.ball import Ball
 
 ONLINE = ("lkf", "ukf", "rls", "broyden")
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
@@ -208,7 +209,11 @@ def test_it_starts_from_the_model_at_the_first_joints_and_reset_starts_again(met
 @each("m", [2, 4])
 def test_a_start_from_zero_has_the_features_of_the_networks(method, m):
     networks = RbfModel(np.zeros((6, 1, 6)), np.ones((6, 1)), np.ones((6, m, 1)))
-    estimator = create_estimator(method, networks, ZERO)
+
+    class Numbers(Ball):
+        axes = tuple("abcd"[:m])
+
+    estimator = create_estimator(method, networks, ZERO, kind=Numbers())
     np.testing.assert_array_equal(estimator.jacobian(HOME), np.zeros((m, 6)))
     estimator.update(MotionStep(1.0, 0.03, HOME, 0.01 * np.eye(6)[0], np.full(m, 0.002)))
     assert estimator.updates == 1

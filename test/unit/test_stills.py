@@ -204,7 +204,7 @@ def test_a_table_trains_a_model(tmp_path):
         ("stamp_s,a,x,y,z\n1,1,2,3,4\n,1,2,3,4", "line 3 lacks a stamp_s"),
         ("a,x,y,z,image\n1,2,3,4,a.png", "column image: expected a number"),
         ("a,x,y,z\n1,2,3,4\n2,,,", "1 of 1 images"),
-        ("a,x,y,z,qx,qy,qz,qw\n1,2,3,4,0,0,0,2", "unit quaternion"),
+        ("a,x,y,z,qx,qy,qz,qw\n1,2,3,4,0,0,0,2", "is no pose"),
         ("stamp_s,a,x,y,z\n1,1,,,\n3,,1,1,1", "0 of 1 images"),
         ("", "of a joint"),
     ],
