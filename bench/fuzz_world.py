@@ -307,7 +307,7 @@ class World:
     @property
     def target_m(self):
         """The target in use, m, or None."""
-        return self.node._loop.supervisor.goal.target_m
+        return self.node._loop.supervisor.goal.target
 
     def start(self):
         """Call ``~/start``."""

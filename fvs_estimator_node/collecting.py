@@ -87,7 +87,9 @@ class CollectionRun:
     def __init__(self, config: CollectorConfig, stop: StopCriterion | None = None) -> None:
         self._config, self._names = config, config.joint_names
         self._unseen = f"no {config.kind.topics.tool.name}"
-        self.stop = stop if stop is not None else StopCriterion(config.stop_at_error)
+        self.stop = (
+            stop if stop is not None else StopCriterion(config.stop_at_error, config.feature)
+        )
         self._motion: RandomMotion | None = None
         self._timeline = Timeline()
         self._joints: np.ndarray | None = None

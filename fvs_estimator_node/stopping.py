@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from fvs_ros.kinds import KindConfig
 from fvs_ros.paths import program
 from fvs_ros.timeline import Sample
 
@@ -31,12 +32,18 @@ class StopCriterion:
     """Fits chains to what was collected so far, one after the other, without waiting for them.
 
     ``stop_at_error`` is the relative standard deviation of the Jacobian that is good enough; 0 fits
-    nothing. ``enough`` is whether two consecutive fits reached it, ``trouble`` explains why fitting
+    nothing. ``feature`` is the kind of what is measured. ``enough`` is whether two consecutive fits reached it, ``trouble`` explains why fitting
     has ended, and ``found`` holds the newest fit's figures.
     """
 
-    def __init__(self, stop_at_error: float, command: Sequence[str] = _COMMAND) -> None:
+    def __init__(
+        self,
+        stop_at_error: float,
+        feature: str = KindConfig.feature,
+        command: Sequence[str] = _COMMAND,
+    ) -> None:
         self._stop_at_error, self._command = stop_at_error, tuple(command)
+        self._feature = feature
         self._next_s, self._good = _FIRST_S, 0
         self._fit: subprocess.Popen[bytes] | None = None
         self.enough, self.trouble = False, ""
@@ -53,7 +60,8 @@ class StopCriterion:
             if self._fit is None and time_s >= self._next_s and samples:
                 self._next_s = time_s + _PERIOD_S
                 with tempfile.TemporaryFile() as content:
-                    np.savez(content, box_rad, *map(np.array, zip(*samples, strict=True)))
+                    columns = map(np.array, zip(*samples, strict=True))
+                    np.savez(content, box_rad, *columns, feature=self._feature)
                     content.seek(0)
                     self._fit = subprocess.Popen(
                         self._command,
@@ -83,14 +91,14 @@ class StopCriterion:
         return f"Jacobian known to {percent:.2g} %" if self.found else ""
 
 
-def _examine(box_rad: np.ndarray, *columns: Any) -> dict[str, Any]:
+def _examine(feature: np.ndarray, box_rad: np.ndarray, *columns: Any) -> dict[str, Any]:
     """Fit a chain to the columns of samples; its accuracy in a box, empty if not known yet."""
     from fvs_estimator_node.chain_fit import fit_chain
     from fvs_estimator_node.files import DataSet
 
     places = np.random.default_rng(0).uniform(box_rad[0], box_rad[1], (100, box_rad.shape[1]))
     try:
-        fit = fit_chain(DataSet(*columns))
+        fit = fit_chain(DataSet(*columns, feature=str(feature)))
         deviation = float(np.median(fit.jacobian_deviation(places)))
     except ValueError:  # no chain yet, or numbers too bad for linear algebra
         return {}
@@ -102,4 +110,5 @@ if __name__ == "__main__":
     os.nice(10)  # the commands come first where there are too few cores
     signal.alarm(120)  # a longer fit hangs, and ends itself
     arrays = np.load(io.BytesIO(sys.stdin.buffer.read()))
-    print(json.dumps(_examine(*(arrays[name] for name in arrays.files))))
+    feature, *columns = (arrays[name] for name in arrays.files)
+    print(json.dumps(_examine(feature, *columns)))

@@ -33,7 +33,7 @@ def test_a_robot_never_seen_before_is_learned_and_servoed_over_its_topics_alone(
     statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
     ros_test.start_node("fvs_estimator_node.node", model_path=model, method="poe", **given)
     ros_test.start_node("fvs_controller_node.node", law="minimum_time", **given)
-    publisher = ros_test.publisher(kind, served.target.name, ros.QOS_LATCHED)
+    publisher = ros_test.publisher(kind, served.topics.target.name, ros.QOS_LATCHED)
 
     def value(key):
         return ros.from_status(statuses[-1])[key] if statuses else ""

@@ -66,7 +66,7 @@ def test_two_fits_in_a_row_that_know_the_chain_are_enough(samples):
     ids=["good", "not known", "cannot be told", "no fit yet"],
 )
 def test_only_good_answers_count(samples, answer, counts):
-    stop = StopCriterion(0.01, saying("a library's remark", answer))
+    stop = StopCriterion(0.01, command=saying("a library's remark", answer))
     assert not answered(stop, 12.0, samples).enough
     assert answered(stop, 16.0, samples).enough == counts
     assert stop.trouble == ""
@@ -74,13 +74,13 @@ def test_only_good_answers_count(samples, answer, counts):
 
 @pytest.mark.parametrize("command", [saying("no JSON"), ("/nowhere/at/all",)])
 def test_a_fit_that_fails_is_trouble_and_the_last(samples, command):
-    stop = answered(StopCriterion(0.01, command), 12.0, samples)
+    stop = answered(StopCriterion(0.01, command=command), 12.0, samples)
     assert "fit failed" in stop.trouble or "No such file" in stop.trouble
     assert not answered(stop, 16.0, samples).enough
 
 
 def test_a_fit_that_hangs_holds_nothing_up(samples):
-    stop = StopCriterion(0.01, ("sleep", "100"))
+    stop = StopCriterion(0.01, command=("sleep", "100"))
     began_s = time.monotonic()
     stop.look(12.0, samples, BOX)
     stop.look(16.0, samples, BOX)
