@@ -32,8 +32,9 @@ class StopCriterion:
     """Fits chains to what was collected so far, one after the other, without waiting for them.
 
     ``stop_at_error`` is the relative standard deviation of the Jacobian that is good enough; 0 fits
-    nothing. ``feature`` is the kind of what is measured. ``enough`` is whether two consecutive fits reached it, ``trouble`` explains why fitting
-    has ended, and ``found`` holds the newest fit's figures.
+    nothing. ``feature`` is the kind of what is measured. ``enough`` is whether two consecutive fits
+    reached it, ``trouble`` explains why fitting has ended, and ``found`` holds the newest fit's
+    figures.
     """
 
     def __init__(
