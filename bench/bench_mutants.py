@@ -141,7 +141,7 @@ _FAR = [9.0] * len(UR_JOINT_NAMES)
 _NO_LIMIT = {"workspace_min_m": [-9.0] * N_AXES, "workspace_max_m": [9.0] * N_AXES}
 _STAMPS = mock.patch("fvs_controller_node.loop.repeats", return_value=False)
 _SHARED = mock.patch("fvs_controller_node.inbox.Inbox.conflicting_command")
-_RAMP = mock.patch("fvs_ros.limits.ramp_to_zero", lambda velocity, *_: 1.001 * velocity)
+_RAMP = mock.patch("fvs_ros.limiter.ramp_to_zero", lambda velocity, *_: 1.001 * velocity)
 
 MUTANTS = (
     Mutant("until every input", disregards(autostart=True), "waits for a start", _ASKED),

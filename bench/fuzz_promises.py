@@ -116,7 +116,8 @@ class Promises:
             sent = all(np.array_equal(one.data, v) for one in world.wire)
             keep("sends what it decided", sent and (same or world.wire), v, world.wire)
             return
-        active = world.node._loop.supervisor.started or v.any()
+        # Before the first motion of a session the joints may not be where they were measured.
+        active = (world.node._loop.supervisor.started and world.goes_to is not None) or v.any()
         lock_step = world.node.simulated_time
         keep("positions in a session only", active or lock_step or not world.wire, world.wire)
         keep("positions all the time", world.wire or same or not active, v)

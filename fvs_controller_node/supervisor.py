@@ -23,7 +23,7 @@ from fvs_controller_node.reasons import Finding, Reason, State, Stop
 from fvs_controller_node.redundancy import singular_values
 from fvs_ros.following import TrackingFault
 from fvs_ros.kinds import ErrorText
-from fvs_ros.limits import limit_speed
+from fvs_ros.limiter import CommandLimiter
 from fvs_ros.vectors import all_finite, largest, length
 
 #: Speed at which the arm may leave a singular pose, rad/s.
@@ -83,18 +83,17 @@ class Supervisor:
         self.goal = Goal(config)
         self._prediction, self._singularity = PredictionMonitor(), SingularityMonitor()
         joints = len(config.joint_names)
-        self._velocity = np.zeros(joints)  # the last command, rad/s
-        self._step = np.zeros(joints)  # from the command before, rad/s
+        self._limiter = CommandLimiter(config)
         self._present = Present(None, None, None, np.zeros(joints))
         self._smallest_m_rad = inf  # smallest singular value of its Jacobian
         self._shut_down = False
         missing = self.inputs.find(-inf)
         assert missing is not None
-        self.last = Command(self._velocity, State.WAITING, missing, "", None)
+        self.last = Command(self._limiter.velocity_rad_s, State.WAITING, missing, "", None)
 
     def configure(self, config: SupervisorConfig) -> None:
         """Change limits and thresholds while running; ``autostart`` counts at creation only."""
-        self.config = config
+        self.config = self._limiter.limits = config
         self.goal.configure(config)
         self.inputs.configure(config)
 
@@ -160,7 +159,7 @@ class Supervisor:
     @property
     def velocity_rad_s(self) -> np.ndarray:
         """The last command, after every limit, rad/s, shape (n,)."""
-        return self._velocity.copy()
+        return self._limiter.velocity_rad_s.copy()
 
     # ---- the tick -------------------------------------------------------------------------
 
@@ -213,7 +212,7 @@ class Supervisor:
         """Check the monitors that apply in motion; every one of them runs at every tick."""
         config, present = self.config, self._present
         assert present.jacobian is not None
-        moved_m = dt_s * length(present.jacobian @ self._velocity)
+        moved_m = dt_s * length(present.jacobian @ self._limiter.velocity_rad_s)
         findings = (
             self._prediction.check(present.verdict, moved_m, config),
             self.goal.progress.check(config),
@@ -254,16 +253,7 @@ class Supervisor:
             fast = min(fast, _LEAVING_RAD_S)
             self._singularity.go_on(dt_s)
         wanted = np.asarray(output.velocity_rad_s, dtype=float)
-        velocity = limit_speed(wanted, fast, config.share)
-        if velocity is not wanted:
-            active.append("velocity")
-        acceleration, pending_rad = config.max_joint_acceleration_rad_s2, self._present.pending_rad
-        allowed, slowed = config.slow_down(velocity, joints, acceleration, dt_s, pending_rad)
-        active += [f"range of {config.joint_names[joint]}" for joint in slowed]
-        velocity = config.step(allowed, self._velocity, self._acceleration(dt_s), dt_s)
-        if velocity is not allowed:
-            active.append("acceleration")
-        self._take(velocity, dt_s)
+        active += self._limiter.move(wanted, joints, dt_s, self._present.pending_rad, fast)
         reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING
         error = self.goal.error_m
         assert error is not None
@@ -277,23 +267,12 @@ class Supervisor:
         if self._ended is not None and not worse:
             finding = self._ended
         finding = finding or Reason.READY.because()
-        last, config = self._velocity, self.config
-        at_once = finding.reason.stop is Stop.AT_ONCE and not config.max_joint_jerk_rad_s3
-        if at_once or not last.any():
-            self._velocity = self._step = np.zeros_like(last)
+        at_once = finding.reason.stop is Stop.AT_ONCE and not self.config.max_joint_jerk_rad_s3
+        if at_once or not self._limiter.velocity_rad_s.any():
+            self._limiter.stop()
             return self._answer(finding, "", None)
-        pending_rad, before = self._present.pending_rad, self._acceleration(dt_s)
-        self._take(config.brake_to_rest(last, before, joints, dt_s, pending_rad), dt_s)
+        self._limiter.rest(joints, dt_s, self._present.pending_rad)
         return self._answer(finding, "acceleration", None)
-
-    def _acceleration(self, dt_s: float) -> np.ndarray:
-        """The last step as an acceleration in a tick of this length, s: rad/s^2, (n,)."""
-        return self._step / dt_s if dt_s > 0.0 else self._step
-
-    def _take(self, velocity: np.ndarray, dt_s: float) -> None:
-        """Take a command into effect; a tick that counts for nothing changes none."""
-        if dt_s > 0.0:
-            self._step, self._velocity = velocity - self._velocity, velocity
 
     def _answer(self, finding: Finding, active_limit: str, output: ControlOutput | None) -> Command:
         reason = finding.reason
@@ -314,7 +293,7 @@ class Supervisor:
             "settled": str(self.goal.settled).lower(),
             **config.kind.status_values(error),
             "active_limit": last.active_limit,
-            "fastest_joint_rad_s": largest(self._velocity),
+            "fastest_joint_rad_s": largest(self._limiter.velocity_rad_s),
             "smallest_singular_value_m_rad": singular,
             "prediction_error_ratio": nan if verdict is None else verdict.error_ratio,
             **self.inputs.status_values(now_s),

@@ -19,6 +19,7 @@ from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.following import Following
 from fvs_ros.interface import CommandInterface
 from fvs_ros.kinds import KindConfig
+from fvs_ros.limiter import CommandLimiter
 from fvs_ros.limits import JointLimits, tick_s
 from fvs_ros.params import parameter
 from fvs_ros.timeline import Sample, Timeline, repeats
@@ -94,7 +95,7 @@ class CollectionRun:
         self._timeline = Timeline()
         self._joints: np.ndarray | None = None
         self._first_s = self._joints_s = self._ball_s = -np.inf
-        self._velocity = self._step = np.zeros(len(self._names))  # the last one, and to it, rad/s
+        self._limiter = CommandLimiter(config, _HELD_S)
         self._following = Following()
         self._speed_scaling = 1.0
         self._moved_s = 0.0
@@ -127,7 +128,7 @@ class CollectionRun:
     @property
     def ended(self) -> bool:
         """Whether the run is over and the arm at rest."""
-        return self.state in _OVER and not np.any(self._velocity)
+        return self.state in _OVER and not np.any(self._limiter.velocity_rad_s)
 
     def joint_states(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Take joint positions: arrival on the steady clock and stamp, s; (n,), rad."""
@@ -136,7 +137,7 @@ class CollectionRun:
             self._joints, self._joints_s = joints_rad, now_s
             if self.moves:
                 unit = self._config.unit
-                command = self._speed_scaling * self._velocity / unit
+                command = self._speed_scaling * self._limiter.velocity_rad_s / unit
                 self._following.add(now_s, stamp_s, command, joints_rad / unit)
             else:
                 self._following.restart()
@@ -152,6 +153,7 @@ class CollectionRun:
         """Take limits that are known only now; a motion begins anew within them."""
         if config != self._config:
             self._config, self._motion, self._moved_s = config, None, 0.0
+            self._limiter.limits = config
             self._following.restart()
 
     def speed_scaling(self, share: float) -> None:
@@ -176,8 +178,8 @@ class CollectionRun:
         """End the run: the velocity, rad/s, (n,), from which the arm has to come to rest."""
         self.fail("interrupted")
         if not self._config.max_joint_jerk_rad_s3:
-            self._velocity = np.zeros(len(self._names))
-        return self._velocity
+            self._limiter.stop()
+        return self._limiter.velocity_rad_s
 
     def _record(self, samples: list[Sample]) -> None:
         if self.state in (State.MOVING, State.RETURNING):
@@ -190,21 +192,15 @@ class CollectionRun:
         """
         dt_s = tick_s(dt_s)
         wanted = None if self.state in _OVER else self._decide(now_s, dt_s)
-        limits, joints, last = self.limits, self._joints, self._velocity
-        before = self._step / dt_s if dt_s > 0.0 else self._step
+        joints, limiter = self._joints, self._limiter
         # The driver has held the last command since the joint state came.
-        pending_rad = np.zeros_like(last) if joints is None else last * (now_s - self._joints_s)
+        held_s = 0.0 if joints is None else now_s - self._joints_s
+        pending_rad = held_s * limiter.velocity_rad_s
         if wanted is None or joints is None or not np.all(np.isfinite(wanted)):
-            velocity = limits.brake_to_rest(last, before, joints, dt_s, pending_rad)
+            limiter.rest(joints, dt_s, pending_rad)
         else:
-            most = limits.max_joint_acceleration_rad_s2
-            wanted, _ = limits.slow_down(wanted, joints, most, _HELD_S, pending_rad)
-            velocity = limits.step(wanted, last, before, dt_s)
-        if joints is not None:
-            velocity = limits.held(velocity, joints + pending_rad, _HELD_S)
-        if dt_s > 0.0:
-            self._step, self._velocity = velocity - last, velocity
-        return self._velocity.copy()
+            limiter.move(wanted, joints, dt_s, pending_rad)
+        return limiter.velocity_rad_s.copy()
 
     def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:
         """Advance the state machine; returns wanted velocities, rad/s, or None to come to rest."""

@@ -40,6 +40,11 @@ class PositionPath:
     def __init__(self) -> None:
         self._position: np.ndarray | None = None
 
+    @property
+    def begun(self) -> bool:
+        """Whether it has left the joints."""
+        return self._position is not None
+
     def end(self) -> None:
         """Forget the path: the next one begins where the joints are."""
         self._position = None

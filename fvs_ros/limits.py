@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import inf, isfinite, pi
+from math import isfinite, pi
 from operator import lt
 from typing import Any
 
@@ -28,11 +28,9 @@ from fvs_ros.vectors import LARGEST, largest
 _LEAST_TICK_S = 1e-6
 #: What is sent stays below each limit by this share. A driver may compute in single precision:
 #: at 1 kHz and 2.6 rad/s it then rounds an acceleration by 2e-4 rad/s^2, a jerk by 0.5 rad/s^3.
-_BELOW = 1.0 - 1e-4
-#: Shares of the acceleration limit that braking is planned with: for a target, and for the end of
-#: a joint's range. With 0.9 a joint passed its end by up to 90 mrad (3 rad/s, a lag of 90 ms) while
-#: the drives' lag was not known yet; with 0.6 by 0.2 mrad.
-BRAKING_SHARE, _RANGE_SHARE = 0.9, 0.6
+BELOW = 1.0 - 1e-4
+#: Share of the acceleration limit that braking for a target is planned with.
+BRAKING_SHARE = 0.9
 
 
 def tick_s(dt_s: float) -> float:
@@ -44,7 +42,7 @@ def limit_speed(
     velocity: np.ndarray, max_speed: float, share: np.ndarray | float = 1.0
 ) -> np.ndarray:
     """Scale the command as a whole so that each joint stays below its share of ``max_speed``."""
-    most, fastest = _BELOW * max_speed, largest(velocity / share)
+    most, fastest = BELOW * max_speed, largest(velocity / share)
     return velocity if fastest <= most else velocity * (most / fastest)
 
 
@@ -64,70 +62,6 @@ def braking_speed(travel_rad: float, acceleration: float, dt_s: float, jerk: flo
     return (0.25 * build_up * build_up + 2.0 * acceleration * rest) ** 0.5 - 0.5 * build_up
 
 
-def limit_acceleration(
-    velocity: np.ndarray, last: np.ndarray, max_step: np.ndarray | float
-) -> np.ndarray:
-    """Find the command nearest to ``velocity`` whose step from ``last`` is at most ``max_step``.
-
-    If a shorter command in the same direction is within reach, the longest such one; otherwise
-    each joint changes as far as allowed.
-
-    Parameters
-    ----------
-    velocity, last : ndarray, shape (n,)
-        Wanted command and the one before, rad/s.
-    max_step : float, or ndarray, shape (n,)
-        Largest change of any joint, or of each, rad/s.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Never further than ``max_step`` from ``last`` in any joint.
-    """
-    if (abs(velocity - last) <= max_step).all():
-        return velocity
-    low, high = last - max_step, last + max_step
-    scale, lowest = 1.0, 0.0
-    for v, lo, hi in zip(velocity.tolist(), low.tolist(), high.tolist(), strict=True):
-        if v > 0.0:
-            scale, lowest = min(scale, hi / v), max(lowest, lo / v)
-        elif v < 0.0:
-            scale, lowest = min(scale, lo / v), max(lowest, hi / v)
-        elif not lo <= 0.0 <= hi:
-            lowest = np.inf
-    wanted = velocity * scale if lowest <= scale else velocity
-    return np.minimum(np.maximum(wanted, low), high)
-
-
-def limit_jerk(
-    velocity: np.ndarray,
-    last: np.ndarray,
-    last_acceleration: np.ndarray,
-    max_acceleration: np.ndarray,
-    max_jerk: np.ndarray,
-    dt_s: float,
-) -> np.ndarray:
-    """Find the command on the way to ``velocity`` within limits of acceleration and jerk.
-
-    Each joint alone takes the largest acceleration from which it can come to zero just when the
-    velocity is reached; all are (n,), rad/s, rad/s^2 and rad/s^3.
-    """
-    missing, step = velocity - last, max_jerk * dt_s
-    # The square root less the step, written so that the last bit is closed, too; never 0 / 0.
-    twice = 2.0 * max_jerk * np.abs(missing)
-    most = np.minimum(max_acceleration, twice / (np.sqrt(step**2 + twice) + step + 1e-300))
-    wanted = np.clip(np.copysign(most, missing), last_acceleration - step, last_acceleration + step)
-    return last + np.clip(wanted, -max_acceleration, max_acceleration) * dt_s
-
-
-def ramp_to_zero(last: np.ndarray, max_step: float, share: np.ndarray | float = 1.0) -> np.ndarray:
-    """Take one step to rest: the last command, no joint slower by more than its share of a step."""
-    fastest = largest(last / share)
-    if fastest <= max_step:
-        return np.zeros_like(last)
-    return last * (1.0 - max_step / fastest)
-
-
 #: Full braking must be reached within this time, s: an arm must stop.
 _BUILD_UP_S = 0.1
 #: A joint position or speed that is no limit: none that a message may hold is larger.
@@ -141,8 +75,7 @@ class JointLimits(ArmJoints):
     """Limits of the arm's joints: of position, and of every joint's command.
 
     A joint moves towards an end of its range at most at the velocity limit times its share of the
-    margin, and never faster than it can brake (``braking_speed``); away from the end it is free.
-    Each joint is slowed alone, so the others continue and the arm slides along the limit.
+    margin, and never faster than it can brake (``braking_speed``).
     """
 
     max_joint_velocity_rad_s: float = live_parameter(
@@ -259,7 +192,8 @@ class JointLimits(ArmJoints):
         return self.joint_limit_margin_rad * self.share
 
     @cached_property
-    def _joints(self) -> list[tuple[float, float, float, tuple[float, float]]]:
+    def each(self) -> list[tuple[float, float, float, tuple[float, float]]]:
+        """Lower and upper end, rad, share, and offset and deceleration near an end, by joint."""
         ends = self.lower_rad.tolist(), self.upper_rad.tolist()
         near = self.near_ends or (UrdfJoint.near_end,) * len(self.joint_names)
         return list(zip(*ends, self.share.tolist(), near, strict=True))
@@ -273,91 +207,6 @@ class JointLimits(ArmJoints):
         """Whether a joint, (n,), rad, is within the margin of an end of its range, or beyond."""
         both = zip(joints_rad.tolist(), self._inside, strict=True)
         return any(not low <= joint <= high for joint, (low, high) in both)
-
-    def step(
-        self,
-        velocity: np.ndarray,
-        last: np.ndarray,
-        last_acceleration: np.ndarray,
-        dt_s: float,
-    ) -> np.ndarray:
-        """Find the next command, (n,), rad/s, on the way from the last one to a wanted velocity.
-
-        Within the acceleration limit, and the jerk limit, if there is one.
-        """
-        most = _BELOW * self.max_joint_acceleration_rad_s2 * self.share
-        if self.max_joint_jerk_rad_s3 > 0.0:
-            jerk = _BELOW * self.max_joint_jerk_rad_s3 * self.share
-            return limit_jerk(velocity, last, last_acceleration, most, jerk, dt_s)
-        return limit_acceleration(velocity, last, most * dt_s)
-
-    def slow_down(
-        self,
-        velocity: np.ndarray,
-        joints: np.ndarray,
-        max_acceleration: float,
-        dt_s: float,
-        pending_rad: np.ndarray,
-    ) -> tuple[np.ndarray, list[int]]:
-        """Slow down every joint that nears an end of its range.
-
-        Pending motion, ``pending_rad``, reduces the room if it goes towards the end; it adds none
-        if it goes away.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            The command, rad/s.
-        list of int
-            The joints that were slowed.
-        """
-        slowed: list[int] = []
-        values = velocity.tolist()
-        acceleration = _RANGE_SHARE * max_acceleration
-        # With the robot's lag of 35 ms a faster approach than 5 times the distance would pass it.
-        slope = min(self.max_joint_velocity_rad_s / self.joint_limit_margin_rad, 5.0)
-        jerk = self.max_joint_jerk_rad_s3
-        each = zip(values, joints.tolist(), pending_rad.tolist(), self._joints, strict=True)
-        for i, (v, q, ahead, (lower, upper, share, (offset, allowed))) in enumerate(each):
-            room = upper - q if v > 0.0 else q - lower
-            room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead))
-            driver = braking_speed(room, allowed, dt_s, jerk) - offset if allowed < inf else inf
-            room /= share
-            cap = share * min(slope * room, braking_speed(room, acceleration, dt_s, jerk))
-            cap = min(cap, max(0.0, driver))
-            if abs(v) > cap:
-                values[i] = cap if v > 0.0 else -cap
-                slowed.append(i)
-        return (np.array(values), slowed) if slowed else (velocity, slowed)
-
-    def held(self, velocity: np.ndarray, joints: np.ndarray, hold_s: float) -> np.ndarray:
-        """The command, (n,), rad/s, that keeps joints, (n,), rad, in their ranges for a time, s.
-
-        A joint beyond its range may only come back.
-        """
-        least = np.minimum(0.0, (self.lower_rad - joints) / hold_s)
-        return np.clip(velocity, least, np.maximum(0.0, (self.upper_rad - joints) / hold_s))
-
-    def brake_to_rest(
-        self,
-        last: np.ndarray,
-        last_acceleration: np.ndarray,
-        joints: np.ndarray | None,
-        dt_s: float,
-        pending_rad: np.ndarray,
-    ) -> np.ndarray:
-        """Find the next command, (n,), rad/s, on the way to rest from the last one."""
-        if self.max_joint_jerk_rad_s3 > 0.0:
-            return self.step(np.zeros_like(last), last, last_acceleration, dt_s)
-        # From full speed it stops within 0.5 s, however small the acceleration limit is.
-        acceleration = max(self.max_joint_acceleration_rad_s2, self.max_joint_velocity_rad_s / 0.5)
-        most = _BELOW * acceleration * dt_s
-        velocity = ramp_to_zero(last, most, self.share)
-        if joints is None:
-            return velocity
-        # The ramp is as long as the fastest joint's; one that nears its limit brakes harder.
-        velocity, _ = self.slow_down(velocity, joints, acceleration, dt_s, pending_rad)
-        return np.clip(velocity, last - most * self.share, last + most * self.share)
 
 
 def with_urdf_limits(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -> dict[str, Any]:

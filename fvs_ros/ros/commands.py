@@ -41,18 +41,18 @@ class CommandPublisher:
     ) -> tuple[float, ...]:
         """Send joint velocities, (n,); returns what was sent, empty if nothing.
 
-        Positions need the measured joints, rad, (n,), and are sent in an active session only: a
-        position controller holds the last one, and another may take over in between. Simulated time
-        waits for an answer to each joint state: then it is where the joints are.
+        Positions need the measured joints, rad, (n,), and are sent in an active session only, from
+        its first motion on: before, the joints may not be where they were last measured. Simulated
+        time waits for an answer to each joint state: then it is where the joints are.
         """
         values, last, self._last = velocity_rad_s, self._last, velocity_rad_s
         if not dt_s and values.any() and np.array_equal(values, last) and not self._lock_step:
             return ()  # a tick that counts for nothing: the driver holds this command already
         if self._path is not None:
-            active = active or bool(velocity_rad_s.any())
-            if not active:
+            moving = bool(velocity_rad_s.any())
+            if not (active or moving):
                 self._path.end()
-            if joints_rad is None or not (active or self._lock_step):
+            if joints_rad is None or not (self._path.begun or moving or self._lock_step):
                 return ()
             values = self._path.advance(velocity_rad_s, joints_rad, dt_s, limits)
         message = to_command(values)

@@ -9,14 +9,12 @@ from hypothesis import strategies as st
 
 from fvs_ros.clock import MAX_PERIOD_S
 from fvs_ros.interface import PositionPath
+from fvs_ros.limiter import CommandLimiter, limit_acceleration, limit_jerk, ramp_to_zero
 from fvs_ros.limits import (
     UNLIMITED,
     JointLimits,
     braking_speed,
-    limit_acceleration,
-    limit_jerk,
     limit_speed,
-    ramp_to_zero,
     tick_s,
     with_urdf_limits,
 )
@@ -52,7 +50,7 @@ def test_no_joint_ever_steps_further_than_allowed(velocity, last, step):
 def test_the_ramp_keeps_its_direction_and_ends_at_exactly_zero(last, step):
     velocity = last
     for _ in range(int(np.abs(last).max() / step) + 2):
-        after = ramp_to_zero(velocity, step)
+        after = ramp_to_zero(velocity, np.full(6, step))
         assert np.all(np.abs(after - velocity) <= step + 1e-12)
         assert parallel(after, last)
         velocity = after
@@ -61,7 +59,7 @@ def test_the_ramp_keeps_its_direction_and_ends_at_exactly_zero(last, step):
 
 @given(velocity=SIX, joints=st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6).map(np.array))
 def test_only_motion_towards_a_near_limit_is_slowed(velocity, joints):
-    got, slowed = RANGE.slow_down(velocity, joints, 6.0, 0.008, np.zeros(6))
+    got, slowed = CommandLimiter(RANGE).slow_down(velocity, joints, 6.0, 0.008, np.zeros(6))
     for i in range(6):
         room = (2.0 - joints[i]) if velocity[i] > 0.0 else (joints[i] + 2.0)
         assert abs(got[i]) <= abs(velocity[i])
@@ -150,12 +148,13 @@ def test_slower_joints_are_limited_in_proportion():
     limits = described_limits()
     velocity = np.array([1.0, 1.0, 0.05])
     np.testing.assert_allclose(limit_speed(velocity, 1.0, limits.share), 0.5 * velocity, 1e-3)
-    got = limits.brake_to_rest(limits.share, np.zeros(3), None, 0.01, np.zeros(3))
-    np.testing.assert_allclose(got, 0.94 * limits.share, 1e-3)
+    limiter = CommandLimiter(limits)
+    limiter.velocity_rad_s = limits.share
+    np.testing.assert_allclose(limiter.rest(None, 0.01, np.zeros(3)), 0.94 * limits.share, 1e-3)
     # Within half of its margin, which is a tenth of the others', the lift is at half of its speed.
     joints = np.array([0.0, 0.0, 0.3 - 0.5 * 0.1 * 0.2])
     assert limits.near_end(joints)
-    got, slowed = limits.slow_down(np.array([0.0, 0.0, 0.1]), joints, 6.0, 0.008, np.zeros(3))
+    got, slowed = limiter.slow_down(np.array([0.0, 0.0, 0.1]), joints, 6.0, 0.008, np.zeros(3))
     assert slowed == [2]
     assert got[2] == pytest.approx(0.05)
 
@@ -239,11 +238,10 @@ def test_near_its_end_a_joint_is_as_fast_as_its_driver_allows_there(side, most):
     )
     limits = JointLimits.from_values(with_urdf_limits(vars(given), read_joints(FR3 + "</robot>")))
     offset, allowed = np.array([(0.3, 6.0), (0.2, 2.585), (0.35, 17.0)]).T
-    dt_s, q, v, step = 0.001, np.zeros(3), np.zeros(3), np.zeros(3)
+    dt_s, q, limiter = 0.001, np.zeros(3), CommandLimiter(limits)
     for _ in range(4000):
-        wanted, _ = limits.slow_down(np.full(3, side * 2.5), q, most, dt_s, np.zeros(3))
-        after = limits.step(wanted, v, step / dt_s, dt_s)
-        step, v = after - v, after
+        limiter.move(np.full(3, side * 2.5), q, dt_s, np.zeros(3))
+        v = limiter.velocity_rad_s
         room = limits.upper_rad - np.abs(q)
         assert np.all(np.abs(v) <= np.maximum(0.0, np.sqrt(2.0 * allowed * room) - offset) + 1e-3)
         q = q + dt_s * v
