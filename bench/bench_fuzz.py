@@ -242,7 +242,10 @@ class Machine(RuleBasedStateMachine):
         world, joint = self.world, joint % self.world.joints.size
         ball_m, limits = world.ball(), world.limits
         end_rad = limits.upper_rad if side > 0 else limits.lower_rad
-        world.joints[joint] = end_rad[joint] - side * room_rad
+        near_rad = end_rad[joint] - side * room_rad
+        if abs(near_rad - world.joints[joint]) > math.pi:
+            return  # by about a turn, which is none of a driver that wraps
+        world.joints[joint] = near_rad
         self._push(ball_m - world.ball())
         world.honest = False
         world.run(FRESH_TICKS)

@@ -127,7 +127,7 @@ class Promises:
             most = TICK_S * world.values["max_joint_velocity_rad_s"] * world.limits.share
             near = np.all(np.abs(to - start) <= most + ROUNDING)
             keep("a position is a step away", near or not active, to, start)
-            world.goes_to = to
+            world.goes_to = to if active else None
         world.goes_to = world.goes_to if active else None
 
     def _judge_ramp(self, v, dt_s, stops, brake_rad_s2, jerk):

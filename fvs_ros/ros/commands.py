@@ -52,9 +52,12 @@ class CommandPublisher:
             moving = bool(velocity_rad_s.any())
             if not (active or moving):
                 self._path.end()
-            if joints_rad is None or not (self._path.begun or moving or self._lock_step):
+            begins = self._path.begun or moving
+            if joints_rad is None or not (begins or self._lock_step):
                 return ()
-            values = self._path.advance(velocity_rad_s, joints_rad, dt_s, limits)
+            values = joints_rad
+            if begins:
+                values = self._path.advance(velocity_rad_s, joints_rad, dt_s, limits)
         message = to_command(values)
         self._publisher.publish(message)
         return tuple(message.data)
