@@ -34,7 +34,7 @@ PARTS = {
     _PUBLISH: ((Publisher, "publish"),),
     "joints by name": ((JointMap, "positions"),),
     "prediction, drive lag": ((ServoLoop, "add_joints"), (ServoLoop, "add_image")),
-    "supervision": ((ServoLoop, "tick"), (Supervisor, "tick")),
+    "supervision": ((ServoLoop, "tick"), (Supervisor, "permit"), (Supervisor, "release")),
     "law": ((ServoLoop, "_propose"),),
     "command": ((CommandPublisher, "send"),),
     "status": ((FvsNode, "_publish_diagnostics"), (FvsNode, "publish_status")),

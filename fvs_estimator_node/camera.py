@@ -9,6 +9,7 @@ translation t, and ``J = R J_model``. A fitted chain gives p. Networks give only
 from __future__ import annotations
 
 import math
+from operator import is_not
 from typing import Any
 
 import numpy as np
@@ -155,12 +156,16 @@ class PoeEstimator(_BehindCamera):
 
     def __init__(self, chain: SerialChain, _config: Any = None, kind: Kind | None = None) -> None:
         super().__init__(kind, *_CHAIN)
-        self._fitted = chain
+        self._fitted = self._moved = chain
+        self._moved_by: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def chain(self) -> SerialChain:
         """The chain as the camera sees it now."""
-        return self._fitted.moved(self.camera.rotation, self.camera.translation_m)
+        pose = self.camera.rotation, self.camera.translation_m
+        if self._moved_by is None or any(map(is_not, pose, self._moved_by)):
+            self._moved, self._moved_by = self._fitted.moved(*pose), pose
+        return self._moved
 
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
         """Estimate at joints, rad, (n,): m/rad, shape (d, n)."""
