@@ -29,6 +29,12 @@ class Region:
         """All of a camera's image."""
         return cls(0, 0, camera.width, camera.height)
 
+    @classmethod
+    def around(cls, points_px: np.ndarray) -> Region:
+        """The smallest part with points, pixels, (n, 2)."""
+        (u0, v0), (u1, v1) = points_px.min(axis=0).astype(int), points_px.max(axis=0).astype(int)
+        return cls(int(u0), int(v0), int(u1 - u0) + 1, int(v1 - v0) + 1)
+
     @property
     def part(self) -> tuple[slice, slice]:
         """Rows and columns of the image."""

@@ -18,9 +18,9 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from fvs_detector_node.config import PARAMETERS, CameraTopics, DetectorConfig
-from fvs_detector_node.detector import BallDetector, Sighting, annotate
+from fvs_detector_node.detector import Sighting, annotate
+from fvs_detector_node.detectors import make_detector
 from fvs_detector_node.pairing import Pair, Pairing
-from fvs_detector_node.tag_detector import TagDetector
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
 from fvs_ros.kinds import kind_of
@@ -31,11 +31,6 @@ from fvs_ros.topics import CAMERA_PREFIXES
 T = TypeVar("T")
 
 WAITING, TRACKING, LOST, FAULT = "WAITING", "TRACKING", "LOST", "FAULT"
-#: By the kind of feature. A new detector is a file in this folder and a line here.
-DETECTORS: dict[str, type[BallDetector | TagDetector]] = {
-    "ball": BallDetector,
-    "pose": TagDetector,
-}
 #: Time without messages after which an input is missing, s; the slowest cameras have 5 Hz.
 _MISSING_S = 1.0
 
@@ -55,7 +50,7 @@ class DetectorNode(ros.FvsNode):
         cv2.setNumThreads(1)  # threads have no benefit for one small image at a time
         self._config = DetectorConfig.from_values(self.values)
         self._kind = kind_of(self._config.feature)
-        self._detector = DETECTORS[self._config.feature](self._config)
+        self._detector = make_detector(self._config)
         self._needs_depth = self._detector.needs_depth
         # A little less than half the period of 30 images a second; without need, more than one.
         self._pairing = Pairing(0.015 if self._needs_depth else 0.05, self._needs_depth)

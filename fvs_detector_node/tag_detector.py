@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -112,16 +113,15 @@ class TagDetector:
         view.seen = None
         if not corners:
             return Sighting(None, problem)
-        if depth_m is not None:
-            depth_m = rectifier.depth(depth_m, Region.whole(intrinsics))
-        pose, problem = view.poses.find(stamp_s, corners, intrinsics, depth_m)
+        depth_of = None if depth_m is None else partial(rectifier.depth, depth_m)
+        pose, problem = view.poses.find(stamp_s, corners, intrinsics, depth_of)
         if pose is None:
             all_px = np.concatenate([one.px for one in corners.values()])
-            return Sighting(None, problem, _bounds(all_px))
+            return Sighting(None, problem, Region.around(all_px))
         # Also where tags of the body are that were not seen.
         corners_m = np.concatenate([one.corners_m for one in self._tag.faces.values()])
         body_px = intrinsics.project(corners_m @ pose.rotation.T + pose.position_m)
-        view.seen = (stamp_s, _bounds(body_px))
+        view.seen = (stamp_s, Region.around(body_px))
         pose = view.in_camera(pose)
         return Sighting(pose, self.gate.check(stamp_s, pose.position_m))
 
@@ -139,9 +139,3 @@ class TagDetector:
             self._camera = camera
             self._views = [_View(one, self._tag) for one in wide_views(camera)]
         return self._views
-
-
-def _bounds(corners_px: np.ndarray) -> Region:
-    """The rectangle around corners."""
-    (u0, v0), (u1, v1) = corners_px.min(axis=0).astype(int), corners_px.max(axis=0).astype(int)
-    return Region(int(u0), int(v0), int(u1 - u0) + 1, int(v1 - v0) + 1)

@@ -9,12 +9,14 @@ print. Depth serves for nothing else: its errors are larger than those of the co
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import cv2
 import numpy as np
 
+from fvs_detector_node.images import Region
 from fvs_detector_node.tag_corners import Corners
 from fvs_detector_node.tags import SQUARE, Tag
 from fvs_ros.camera import Intrinsics
@@ -113,7 +115,7 @@ class PoseFinder:
         stamp_s: float,
         seen: dict[int, Corners],
         camera: Intrinsics,
-        depth_m: np.ndarray | None = None,
+        depth_of: Callable[[Region], np.ndarray] | None = None,
     ) -> tuple[TagPose | None, str]:
         """The pose, or None and why there is none.
 
@@ -143,8 +145,8 @@ class PoseFinder:
         if not fits or not fits[0].pose.residual_px <= most_px:
             return None, "the corners do not fit: is the tag bent or covered, is tag_layout right?"
         fit = self._choice(stamp_s, *fits[:2])
-        if fit is None and depth_m is not None:
-            fit = self._by_depth(fits[0], fits[1], camera, depth_m)
+        if fit is None and depth_of is not None:
+            fit = self._by_depth(fits[0], fits[1], camera, depth_of)
         if fit is None:
             return None, (
                 "the tag is seen so squarely that two poses fit: tilt it, bring it nearer, or "
@@ -215,17 +217,23 @@ class PoseFinder:
         return first if certain or to_first <= reach_rad < to_other else None
 
     def _by_depth(
-        self, first: _Fit, other: _Fit, camera: Intrinsics, depth_m: np.ndarray
+        self,
+        first: _Fit,
+        other: _Fit,
+        camera: Intrinsics,
+        depth_of: Callable[[Region], np.ndarray],
     ) -> _Fit | None:
         """The pose whose largest print lies as the depths on it do; None if they do not tell."""
         sizes_px2 = [cv2.contourArea(one.astype(np.float32)) for one in first.pose.corners_px]
         largest = int(np.argmax(sizes_px2))
         corners_px, number = first.pose.corners_px[largest], first.pose.numbers[largest]
-        inside = cv2.fillConvexPoly(
-            np.zeros(depth_m.shape, np.uint8), np.rint(corners_px).astype(np.int32), 1
-        )
+        region = Region.around(corners_px).grown(0, camera)
+        depth_m, outline = depth_of(region), np.rint(corners_px).astype(np.int32)
+        inside = np.zeros(depth_m.shape, np.uint8)
+        cv2.fillConvexPoly(inside, outline - [region.u0, region.v0], 1)
         v, u = np.nonzero(inside * (depth_m > 0.0))
-        rays, normal = camera.rays(u, v), self._tag.faces[number].rotation[:, 2]
+        rays = camera.rays(u + region.u0, v + region.v0)
+        normal = self._tag.faces[number].rotation[:, 2]
         # On the right plane these are alike, whatever the scale of the depths.
         scales = [depth_m[v, u] * (rays @ (one.pose.rotation @ normal)) for one in (first, other)]
         spreads = [one.std() / abs(one.mean()) for one in scales] if u.size else [1.0, 1.0]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 
+from fvs_detector_node.images import Region
 from fvs_ros.rotations import quaternion_from_rotation
 
 
@@ -107,3 +110,44 @@ def add_depth_noise(
     lost |= depth < 0.0
     depth[lost] = 0.0
     return depth
+
+
+class Exposure:
+    """Images that are drawn part by part, where a detector looks.
+
+    Parameters
+    ----------
+    draw : callable
+        Takes a region; returns its colours, uint8 (H, W, 3), and depths, m, (H, W).
+
+    Attributes
+    ----------
+    rgb, depth_m : object
+        As images: ``rgb[rows, columns]`` is a part.
+    """
+
+    rgb: Any
+    depth_m: Any
+
+    def __init__(self, draw: Callable[[Region], tuple[np.ndarray, np.ndarray]]) -> None:
+        self._draw = draw
+        self._drawn: dict[Region, tuple[np.ndarray, np.ndarray]] = {}
+        self.rgb, self.depth_m = _Parts(self, 0), _Parts(self, 1)
+
+    def part(self, region: Region) -> tuple[np.ndarray, np.ndarray]:
+        """Colours and depths of a region."""
+        if region not in self._drawn:
+            self._drawn[region] = self._draw(region)
+        return self._drawn[region]
+
+
+class _Parts:
+    """One of an exposure's images."""
+
+    def __init__(self, exposure: Exposure, image: int) -> None:
+        self._exposure, self._image = exposure, image
+
+    def __getitem__(self, part: tuple[slice, slice]) -> np.ndarray:
+        rows, columns = part
+        size = columns.stop - columns.start, rows.stop - rows.start
+        return self._exposure.part(Region(columns.start, rows.start, *size))[self._image]

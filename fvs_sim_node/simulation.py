@@ -13,18 +13,18 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from fvs_detector_node.detection import BallColour, BallDetection, detect_ball
+from fvs_detector_node.config import DetectorConfig
+from fvs_detector_node.detection import BallDetection
+from fvs_detector_node.detectors import make_detector
 from fvs_detector_node.images import Region
-from fvs_detector_node.tag_pose import PoseFinder, TagPose
-from fvs_detector_node.tracking import WindowTracker
-from fvs_ros.camera import Intrinsics
+from fvs_detector_node.tag_pose import TagPose
+from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.chain import SerialChain
 from fvs_ros.interface import VELOCITY
 from fvs_ros.kinds import Kind, kind_of
 from fvs_sim_node.actuator import Actuator
-from fvs_sim_node.camera import CameraPose, Frame, add_depth_noise
+from fvs_sim_node.camera import CameraPose, Exposure, Frame, add_depth_noise
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.tag import TagPicture
 from fvs_sim_node.world import Renderer, World
 
 #: A position drive closes what is missing at this gain, 1/s, and refuses a position that is further
@@ -110,6 +110,14 @@ class Simulation:
         self._steps_per_period = round(config.physics_rate_hz / config.joint_state_rate_hz)
         self.position_noise: Callable[[np.random.Generator], np.ndarray] | None = None
         self.full_frames = False
+        self._detector = make_detector(
+            DetectorConfig(
+                feature=config.feature,
+                ball_radius_m=config.ball_radius_m,
+                tag=config.tag,
+                max_ball_speed_m_s=100.0,  # nothing else is red: a jump is a camera that was moved
+            )
+        )
         self._named: tuple[str, CameraPose] | None = None  # the named camera that is in use
         self.configure(config)
         self.reset()
@@ -179,8 +187,7 @@ class Simulation:
         self._wanted: np.ndarray | None = None
         self._sought: np.ndarray | None = None
         self._pending: deque[tuple[float, BallObservation]] = deque()
-        self._tracker = WindowTracker(self._reported_intrinsics, config.ball_radius_m)
-        self._poses = PoseFinder(config.tag)
+        self._detector.reset()
         self._actuator.reset()
         self.world.reset(joints)
         self._joints, self._velocities = self.world.joint_states()
@@ -298,64 +305,39 @@ class Simulation:
 
     def _detect(self) -> BallDetection | TagPose | None:
         """Ball or tag in an image now, without ``position_noise_m``."""
-        if self.world.tag is not None:
-            return self._detect_tag(self.world.tag)
-        config = self.config
-        if config.camera_covered:
-            self._tracker.update(self.time_s, None)
-            return None
-        if not config.rendered:
-            return self._know()
-        camera = self._reported_intrinsics
-
-        def detect(region: Region) -> BallDetection | None:
-            rgb, depth_m = self._renderer.render(self.camera, region)
-            fx, rng = self.intrinsics.fx, self._noise_rng
-            depth_m = add_depth_noise(depth_m, fx, rng, config.depth_noise)
-            depth_m = depth_m * np.float32(1.0 + config.depth_error)
-            return detect_ball(rgb, depth_m, region.view(camera), config.ball_radius_m)
-
-        def elsewhere() -> Region | None:
-            return self._renderer.find_colour(self.camera, BallColour())
-
-        detection = self._tracker.find(self.time_s, detect, elsewhere)
-        self._tracker.update(self.time_s, detection)
-        return detection
-
-    def _detect_tag(self, tag: TagPicture) -> TagPose | None:
-        """The tag in the part of the image around where it is."""
-        true, camera = self.true_tag_pose(), self.intrinsics
-        region = None if self.config.camera_covered else tag.region(true, camera)
-        if region is None:
+        if self.config.camera_covered:
             return None
         if not self.config.rendered:
-            numbers = tuple(tag.tag.facing(true.rotation, true.position_m))
-            nothing_px, position_m = np.zeros((len(numbers), 4, 2)), self.as_seen(true.position_m)
-            return TagPose(position_m, true.rotation, numbers, nothing_px, 0.0) if numbers else None
-        region = region.grown(region.width // 4 + 8, camera)
-        rgb, depth_m = self._renderer.render(self.camera, region)
-        self.world.paint_tag(
-            rgb, depth_m, region.view(camera), self.camera, self._velocities, self._noise_rng
-        )
-        found, _ = tag.reader.find(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
-        if not found:
-            return None
-        depth_m = add_depth_noise(depth_m, camera.fx, self._noise_rng, self.config.depth_noise)
-        whole_m = np.zeros((camera.height, camera.width), np.float32)
-        whole_m[region.part] = depth_m * np.float32(1.0 + self.config.depth_error)
-        corners = {number: one.moved(region.u0, region.v0) for number, one in found.items()}
-        return self._poses.find(self.time_s, corners, self._reported_intrinsics, whole_m)[0]
+            return self._know()
+        exposure = Exposure(self._draw)
+        camera = CameraModel(self._reported_intrinsics)
+        sighting = self._detector.look(self.time_s, exposure.rgb, exposure.depth_m, camera)
+        return None if sighting.problem else sighting.found
 
-    def _know(self) -> BallDetection | None:
-        """Replace an image: the true position, as a perfect detection."""
-        position, radius_m = self.true_ball_position(), self.config.ball_radius_m
-        if position[2] < 2.0 * radius_m:
+    def _draw(self, region: Region) -> tuple[np.ndarray, np.ndarray]:
+        """Colours and depths of a part of the image."""
+        config, rng, camera = self.config, self._noise_rng, self.intrinsics
+        rgb, depth_m = self._renderer.render(self.camera, region)
+        self.world.paint_tag(rgb, depth_m, region.view(camera), self.camera, self._velocities, rng)
+        depth_m = add_depth_noise(depth_m, camera.fx, rng, config.depth_noise)
+        return rgb, depth_m * np.float32(1.0 + config.depth_error)
+
+    def _know(self) -> BallDetection | TagPose | None:
+        """Replace an image: the true position or pose, as a perfect detection."""
+        true, camera, tag = self.true_tag_pose(), self.intrinsics, self.world.tag
+        position_m = self.as_seen(true.position_m)
+        if tag is not None:
+            faces = tuple(tag.tag.facing(true.rotation, true.position_m))
+            if tag.region(true, camera) is None or not faces:
+                return None
+            return TagPose(position_m, true.rotation, faces, np.zeros((len(faces), 4, 2)), 0.0)
+        radius_m, depth_m = self.config.ball_radius_m, true.position_m[2]
+        if depth_m < 2.0 * radius_m:
             return None
-        u, v = self.intrinsics.project(position)
-        if not (0.0 <= u < self.intrinsics.width and 0.0 <= v < self.intrinsics.height):
+        u, v = camera.project(true.position_m)
+        if not (0.0 <= u < camera.width and 0.0 <= v < camera.height):
             return None
-        radius_px = radius_m * self.intrinsics.fx / position[2]
-        return BallDetection(self.as_seen(position), 1.0, 1.0, 0.0, float(radius_px))
+        return BallDetection(position_m, 1.0, 1.0, 0.0, float(radius_m * camera.fx / depth_m))
 
     def _blurred(self, z: np.ndarray) -> np.ndarray:
         """The measurement with further noise, of a rotation along its arc."""

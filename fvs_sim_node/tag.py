@@ -28,7 +28,8 @@ class TagPicture:
     """Paints the tags of a layout, with their borders, on the body that carries them."""
 
     def __init__(self, tag: Tag) -> None:
-        self.tag, self.reader = tag, TagReader(tag)  # checks the numbers
+        self.tag = tag
+        TagReader(tag)  # checks the numbers
         self._textures = {
             number: np.pad(
                 cv2.aruco.generateImageMarker(tag.dictionary, number, tag.cells * _CELL_PX),

@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from fvs_detector_node.detection import BallColour, colour_mask
 from fvs_detector_node.images import Region
 from fvs_ros.arguments import how_to_install
 from fvs_ros.camera import Intrinsics
@@ -389,20 +388,6 @@ class Renderer:
         wall = self._wall[part.part[0]]
         np.copyto(colours.view(np.uint32)[..., 0], wall, where=nothing)
         return cv2.cvtColor(colours, cv2.COLOR_RGBA2RGB), depth
-
-    def find_colour(self, pose: CameraPose, colour: BallColour) -> Region | None:
-        """Part of the image that holds all of a colour; None if none does.
-
-        It searches an image of a quarter of the size, in an eighth of the time of a full search.
-        """
-        full, n = self.intrinsics, 4
-        size = (-(-full.width // n), -(-full.height // n))
-        lens = (full.fx / n, full.fy / n, full.cx / n, full.cy / n)
-        rgb = self._draw(pose, Intrinsics(*size, *lens))[0][..., :3]
-        u, v, width, height = cv2.boundingRect(colour_mask(rgb, colour))
-        if width == 0:
-            return None
-        return Region(u * n, v * n, width * n, height * n).grown(4 * n, full)
 
     def _draw(self, pose: CameraPose, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
         """Colours (H, W, 4) and the depth buffer (H, W), 1 for the background."""

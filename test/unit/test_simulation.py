@@ -162,6 +162,7 @@ def test_an_own_camera_that_is_bumped_turns_about_itself(make):
         np.testing.assert_allclose(simulation.true_ball_position(), ball_m, atol=1e-6)
         jacobian = view @ chain.jacobian(joints)
         np.testing.assert_allclose(simulation.true_jacobian(joints), jacobian, atol=1e-6)
+        simulation.reset(joints)
         np.testing.assert_allclose(simulation.look().detection.position_m, ball_m, atol=1e-3)
     with pytest.raises(ValueError, match="6 finite"):
         simulation.reset([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])

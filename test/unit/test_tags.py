@@ -216,6 +216,10 @@ def depth_of(rotation, position_m, rng, noise_m=0.002, bias=1.02):
     return depth_m + noise_m * cv2.GaussianBlur(rng.normal(size=depth_m.shape), (0, 0), 1.0) * 3.5
 
 
+def parts_of(depth_m):
+    return lambda region: depth_m[region.part]
+
+
 def test_depth_tells_two_poses_apart_or_leaves_it_open():
     rng, decided = np.random.default_rng(5), 0
     for _ in range(300):
@@ -225,8 +229,8 @@ def test_depth_tells_two_poses_apart_or_leaves_it_open():
         seen = {0: corners(corners_px(rotation, position_m), 0.1, rng)}
         if finder.find(0.0, seen, VGA)[0] is not None:
             continue  # so squarely that both are the same
-        pose, _ = finder.find(0.0, seen, VGA, depth_of(rotation, position_m, rng))
-        hole, _ = finder.find(0.0, seen, VGA, np.zeros((VGA.height, VGA.width)))
+        pose, _ = finder.find(0.0, seen, VGA, parts_of(depth_of(rotation, position_m, rng)))
+        hole, _ = finder.find(0.0, seen, VGA, parts_of(np.zeros((VGA.height, VGA.width))))
         assert hole is None
         if pose is not None:
             decided += 1
