@@ -223,6 +223,8 @@ class Goal:
 
     def _outside(self, target: np.ndarray) -> list[str]:
         """Say which coordinates of a target are outside the workspace box."""
+        if not self._config.kind.places:
+            return []
         low, high = self._config.workspace_min_m, self._config.workspace_max_m
         axes = self._config.kind.axes
         return [

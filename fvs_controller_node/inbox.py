@@ -157,7 +157,7 @@ class Inbox:
         wanted = " x ".join(str(length) for length in shape)
         if values.shape != shape:
             self[name].bad(f"expected {wanted} numbers, got shape {values.shape}")
-        elif not plausible(values):
+        elif not plausible(kind.weights * values if name == FEATURE else values):
             self[name].bad(
                 f"expected {wanted} finite numbers up to {LARGEST:g} in metres and radians, "
                 f"got {values.tolist()}",

@@ -34,7 +34,7 @@ class Kind:
     weights : ndarray, shape (m,)
         Length, m, of a unit of each number of z.
     places : int
-        Count of the first numbers of z that a workspace box bounds.
+        Count of the first numbers of z that a workspace box bounds; 0 without one.
     outliers : float
         Share of images that are usually further off than their noise.
     least_joints : int
