@@ -13,5 +13,7 @@ DETECTORS: dict[str, type[BallDetector | TagDetector]] = {
 
 
 def make_detector(config: DetectorConfig) -> BallDetector | TagDetector:
-    """The detector of the configured kind of feature."""
+    """The detector of the configured kind of feature; a ``ValueError`` if there is none."""
+    if config.feature not in DETECTORS:
+        raise ValueError(f"no detector finds {config.feature}; there are {', '.join(DETECTORS)}")
     return DETECTORS[config.feature](config)
