@@ -1,6 +1,6 @@
-"""What one arm costs beside a bare rclpy node, where it goes, eight arms, and 1 kHz.
+"""What an arm costs beside a bare rclpy node, where it goes, and 1 kHz.
 
-``python -m bench cpu``. All arms are played by one light process of its own, which is not counted.
+``python -m bench cpu``. The arm is played by a light process of its own, which is not counted.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from harness import Harness, ros_arguments
 
 from bench.timing import spread
 
-SECONDS, RATE_HZ, FAST_HZ, ARMS, ROUNDS = 8.0, 125.0, 1000.0, 8, 3
+SECONDS, RATE_HZ, FAST_HZ, ROUNDS, ARM = 8.0, 125.0, 1000.0, 3, "arm"
 _CLOCK_HZ = os.sysconf("SC_CLK_TCK")
 CONTROLLER, ESTIMATOR = ("fvs_controller_node.node", "fvs_estimator_node.node")
 SERVO, TIMED = "fvs_tools.servo_node", "bench.timed_node"
@@ -28,44 +28,40 @@ def _used_s(process):
     return (int(fields[11]) + int(fields[12])) / _CLOCK_HZ
 
 
-def play(folder, start, namespaces=("arm",), rate_hz=RATE_HZ):
-    """Play arms for what ``start`` starts: percent of a core, and what each arm saw."""
+def play(folder, start, rate_hz=RATE_HZ):
+    """Play an arm for what ``start`` starts: percent of a core, and its parts if timed."""
     with closing(Harness(folder)) as harness:
-        nodes = start(harness, namespaces)
-        command = [rate_hz, SECONDS, *namespaces]
-        arms = harness.start("bench.arms_node", *map(str, command))
-        harness.spin_until(lambda: "begin" in harness.output(arms), 60.0, "arms that move")
+        nodes = start(harness)
+        arm = harness.start("bench.arm_node", str(rate_hz), str(SECONDS), ARM)
+        harness.spin_until(lambda: "begin" in harness.output(arm), 60.0, "an arm that moves")
         before_s = [_used_s(node) for node in nodes]
-        harness.wait(arms, 3.0 * SECONDS)
+        if harness.wait(arm, 3.0 * SECONDS):
+            raise RuntimeError("the arm does not move")
         used_s = [_used_s(node) - used for node, used in zip(nodes, before_s, strict=True)]
         harness.end_processes()
-        seen = json.loads(harness.output(arms).splitlines()[-1])
         parts = [json.loads(path.read_text()) for path in folder.glob("parts.json")]
-    if not all(arm["moves"] for arm in seen):
-        raise RuntimeError("an arm does not move")
-    return 100.0 * sum(used_s) / SECONDS, seen, parts
+    return 100.0 * sum(used_s) / SECONDS, parts
 
 
 def bare(*executor):
     """A node that answers each joint state with a command, by ``spin`` or another executor."""
 
-    def start(harness, namespaces):
-        return [harness.start("bench.answer_node", one, *executor) for one in namespaces]
+    def start(harness):
+        return [harness.start("bench.answer_node", ARM, *executor)]
 
     return start
 
 
-def two_processes(harness, namespaces):
+def two_processes(harness):
     return [
-        harness.start_node(module, {"__ns": f"/{namespace}"}, **parameters)
-        for namespace in namespaces
+        harness.start_node(module, {"__ns": f"/{ARM}"}, **parameters)
         for module, parameters in ((CONTROLLER, {"autostart": True}), (ESTIMATOR, {}))
     ]
 
 
 def one_process(*scheme, module=SERVO):
-    def start(harness, namespaces):
-        return [harness.start(module, *namespaces, *ros_arguments(autostart=True, **dict(scheme)))]
+    def start(harness):
+        return [harness.start(module, ARM, *ros_arguments(autostart=True, **dict(scheme)))]
 
     return start
 
@@ -95,16 +91,10 @@ def main():
             percent = np.median(values)
             ratios = "".join(f"{percent / floor:7.2f}" for floor in floors)
             print(f"  {label:22s} {percent:5.1f}   times the bare nodes {ratios}")
-        (parts,) = run(one_process(module=TIMED))[2]
+        _, (parts,) = run(one_process(module=TIMED))
         print(f"  computation of a tick  {spread(parts['ticks_ms']['tick alone'], 'ms')}")
         _print_parts(parts)
-        percent, seen, _ = run(one_process(), [f"arm_{number}" for number in range(ARMS)])
-        print(f"{ARMS} arms in one process at {RATE_HZ:g} Hz: {percent / ARMS:.1f} % for each")
-        for arm in seen:
-            answers_ms = 1e3 * np.array(arm["answers_s"])
-            lost = arm["sent"] - len(answers_ms)
-            print(f"  joint state to command {spread(answers_ms, 'ms')}   {lost} lost")
-        percent, _, (parts,) = run(one_process(*FAST, module=TIMED), rate_hz=FAST_HZ)
+        percent, (parts,) = run(one_process(*FAST, module=TIMED), rate_hz=FAST_HZ)
         print(f"one arm at {FAST_HZ:g} Hz, kinematic chain and minimum time: {percent:.1f} %")
         for label, ticks_ms in parts["ticks_ms"].items():
             print(f"  {label:22s} {spread(ticks_ms, 'ms', 99.9)}")

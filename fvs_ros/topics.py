@@ -69,7 +69,6 @@ ESTIMATOR, CONTROLLER = "fvs_estimator_node", "fvs_controller_node"
 COLLECTOR, DEMO, DASHBOARD = "fvs_collector_node", "fvs_demo_node", "fvs_dashboard"
 MARKERS_NODE, RECORDER = "fvs_markers_node", "fvs_recorder_node"
 CALIBRATE = "fvs_calibrate_node"
-SERVO = "fvs_servo_node"  # no node: the program of estimator and controller in one process
 YOU = "you"  # an operator's tools, such as ``ros2 topic pub``
 _TRIGGER = "std_srvs/srv/Trigger"
 

@@ -19,14 +19,13 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from fvs_ros import console, topics
+from fvs_ros import console
 from fvs_ros.arguments import Parser
 from fvs_ros.paths import program
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_tools.scenario import (
     NODE_TABLE,
     RECORDER,
-    SERVO,
     Scenario,
     checked_remap,
     enclave_arguments,
@@ -43,7 +42,7 @@ _print_lock = threading.Lock()
 
 
 class _Process:
-    """One running node, or estimator and controller together.
+    """One running node.
 
     It inherits the open file descriptor ``params`` of its parameters. ``terminal`` holds the
     descriptors of this program's output and error.
@@ -52,7 +51,7 @@ class _Process:
     def __init__(
         self, name: str, arguments: list[str], params: int, terminal: tuple[int, int]
     ) -> None:
-        self.name, self.entry = name, SERVO if name == topics.SERVO else NODE_TABLE[name]
+        self.name, self.entry = name, NODE_TABLE[name]
         self._asked = False
         # A task prints to the terminal itself (tables, a progress bar); other output is prefixed.
         out, err = terminal if self.entry.task else (subprocess.PIPE, subprocess.STDOUT)
@@ -107,17 +106,11 @@ class _Process:
         return f"{self.name} ended with {how}"
 
 
-def launch(
-    scenario: Scenario,
-    namespace: str = "",
-    remaps: Sequence[str] = (),
-    programs: Sequence[str] | None = None,
-) -> int:
+def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) -> int:
     """Start all nodes in order, wait for the first end or a signal, stop all.
 
     Returns 0 when ended by a signal or a task that succeeded; else the exit code of the node that
-    ended it. ``remaps`` are rules ``from:=to`` for all nodes; ``programs`` are those to start, if
-    one of them runs two nodes.
+    ended it. ``remaps`` are rules ``from:=to`` for all nodes.
     """
     processes: list[_Process] = []
     with (
@@ -133,7 +126,7 @@ def launch(
         common += [word for rule in remaps for word in ("-r", rule)]
         first = None
         try:
-            for name in programs or scenario:
+            for name in scenario:
                 if stop.RECEIVED or first is not None:
                     break
                 arguments = [*common, *enclave_arguments(name, namespace, os.environ)]
@@ -146,21 +139,6 @@ def launch(
         finally:
             code = _stop_all(processes, first)
     return code
-
-
-def together(scenario: Scenario) -> list[str]:
-    """The programs to start, with estimator and controller in one.
-
-    A ``ValueError`` if the scenario lacks one of them.
-    """
-    both = (topics.ESTIMATOR, topics.CONTROLLER)
-    if not set(both) <= set(scenario):
-        raise ValueError(f"--one-process needs a scenario with {' and '.join(both)}")
-    return [
-        topics.SERVO if name == topics.CONTROLLER else name
-        for name in scenario
-        if name != topics.ESTIMATOR
-    ]
 
 
 def _await_bag(recorder: _Process, bag_dir: str) -> _Process | None:
@@ -250,11 +228,6 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="named pair of estimator method and control law; -p overrides it",
     )
-    parser.add_argument(
-        "--one-process",
-        action="store_true",
-        help="run estimator and controller as one process: less CPU time",
-    )
     parser.add_argument("--namespace", default="", help="ROS namespace of all nodes")
     parser.add_argument(
         "-r",
@@ -289,7 +262,6 @@ def main(argv: list[str] | None = None) -> int:
         scenario = load_scenario(
             given.scenario, given.param, given.scheme, given.record, given.images
         )
-        programs = together(scenario) if given.one_process else None
         remaps = [checked_remap(text) for text in given.remap]
         if not _NAMESPACE.fullmatch(given.namespace.strip("/")):
             raise ValueError(
@@ -302,7 +274,7 @@ def main(argv: list[str] | None = None) -> int:
     if "fvs_sim_node" in scenario:
         # A simulated arm must not exchange messages with the robots of a laboratory network.
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    return launch(scenario, given.namespace, remaps, programs)
+    return launch(scenario, given.namespace, remaps)
 
 
 if __name__ == "__main__":

@@ -85,10 +85,6 @@ NODE_TABLE: dict[str, NodeEntry] = {
 }
 
 
-#: Estimator and controller as one process.
-SERVO = NodeEntry("fvs_tools.servo_node", "fvs_tools.servo_node", commands_arm=True)
-
-
 def load_scenario(
     name: str,
     overrides: Iterable[str] = (),

@@ -24,7 +24,6 @@ from fvs_tools.scenario import MARKERS, load_scenario
 _ARGUMENTS = (
     ("scenario", "demo", "a scenario file, or the name of one in config/"),
     ("scheme", "", "estimator method and control law by one name; empty: the scenario's"),
-    ("one_process", "false", "true runs estimator and controller as one process"),
     ("namespace", "", "of all nodes"),
     ("param", "", "name:=value or node:name:=value overrides, with spaces between"),
     ("remap", "", "from:=to rules for all nodes, with spaces between"),
@@ -74,8 +73,6 @@ def _nodes(context):
     words += [f"--{name}={given[name]}" for name in ("scheme", "namespace", "record")]
     for name in ("param", "remap"):
         words += [f"--{name}={one}" for one in given[name].split()]
-    if given["one_process"].lower() == "true":
-        words.append("--one-process")
     if given["record"] and given["record_images"].lower() == "false":
         words.append("--record-without-images")
     loop = ExecuteProcess(

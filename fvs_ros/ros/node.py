@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, cast
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,6 +19,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.subscription import Subscription
@@ -29,7 +30,6 @@ from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.ros.inputs import IMAGES, MOST_ITEMS, ArrivalMonitor, check_request, unpacked
 from fvs_ros.ros.messages import OK, WARN, MessageError, message_class, plain, to_stamp, to_status
 from fvs_ros.ros.qos import PROFILES, QOS_LATCHED
-from fvs_ros.ros.wiring import HandingPublisher, Input
 from fvs_ros.topics import Topic
 
 #: Of every node's ``~/status``, s.
@@ -64,7 +64,7 @@ class FvsNode(Node):
 
     A parameter given at start that is unknown or has a wrong value is a ``ParameterError``;
     ``others`` are those of the nodes that share the process, and its arguments: what is given of
-    them stands in ``not_own``. A node hears nothing until :func:`~fvs_ros.ros.process.run` runs it.
+    them stands in ``not_own``.
     """
 
     #: Set to end the process with this exit code.
@@ -96,7 +96,6 @@ class FvsNode(Node):
         self._loop_clock = LoopClock(self.ros_s if simulated else None)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._monitors: dict[str, ArrivalMonitor] = {}
-        self._inputs: list[Input] | None = []  # until ``run`` connects them
         self._status = self.publisher(topics.STATUS)
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
         self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
@@ -226,50 +225,31 @@ class FvsNode(Node):
 
     def subscribe(self, topic: Topic, callback: Callable[[Any], None]) -> None:
         """Watch a topic with the type and the qualities of service that are declared for it."""
-        kind, heard = message_class(topic.type), self._counted(topic.name, callback)
         for qos in topic.subscribers[self._declared_name].qos:
-            one = Input(kind, topic.name, PROFILES[qos], heard)
-            if self._inputs is None:
-                self.open(one)
-            else:
-                self._inputs.append(one)
+            self.watch(message_class(topic.type), topic.name, callback, PROFILES[qos])
 
-    def take_inputs(self) -> list[Input]:
-        """The subscriptions asked for so far; later ones are opened at once."""
-        inputs, self._inputs = self._inputs, None
-        return inputs or []
-
-    def open(self, one: Input) -> Subscription:
-        """Open a subscription."""
-        # A latched subscription has a volatile one beside it: no warning about publishers.
-        events = SubscriptionEventCallbacks(use_default_callbacks=one.qos is not QOS_LATCHED)
-        return self.create_subscription(
-            one.message_type, one.topic, one.callback, one.qos, event_callbacks=events
-        )
-
-    def publisher(self, topic: Topic) -> HandingPublisher:
+    def publisher(self, topic: Topic) -> Publisher:
         """Make a publisher with the type and the quality of service that are declared for it."""
         (qos,) = topic.publishers[self._declared_name].qos
         own = f"{self._declared_name}/"
         name = topic.name.replace(own, "~/") if topic.name.startswith(own) else topic.name
-        kind, qos_profile = message_class(topic.type), PROFILES[qos]
-        made = self.create_publisher(kind, name, qos_profile, publisher_class=HandingPublisher)
-        return cast("HandingPublisher", made)
+        return self.create_publisher(message_class(topic.type), name, PROFILES[qos])
 
     def watch(
         self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile
     ) -> Subscription:
-        """Subscribe at once, and report the input's age, rate and jitter on ``/diagnostics``."""
-        return self.open(Input(message_type, topic, qos, self._counted(topic, callback)))
-
-    def _counted(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Subscribe, and report the input's age, rate and jitter on ``/diagnostics``."""
         monitor = self._monitors.setdefault(topic, ArrivalMonitor())
 
         def on_message(message: Any) -> None:
             monitor.arrived(self.now_s())
             callback(message)
 
-        return on_message
+        # A latched subscription has a volatile one beside it: no warning about publishers.
+        events = SubscriptionEventCallbacks(use_default_callbacks=qos is not QOS_LATCHED)
+        return self.create_subscription(
+            message_type, topic, on_message, qos, event_callbacks=events
+        )
 
     def monitor(self, topic: str) -> ArrivalMonitor:
         """Arrival statistics of a watched input."""
@@ -295,7 +275,7 @@ class FvsNode(Node):
     @property
     def status_heard(self) -> bool:
         """Whether anybody listens to ``~/status``."""
-        return self._status.heard
+        return self._status.get_subscription_count() > 0
 
     def publish_status(
         self, level: bytes, state: str, reason: str, values: Mapping[str, Any]

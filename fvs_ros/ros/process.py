@@ -20,8 +20,6 @@ from fvs_ros.arguments import listing
 from fvs_ros.params import Parameter
 from fvs_ros.paths import find_file
 from fvs_ros.ros.node import FvsNode
-from fvs_ros.ros.qos import QOS_NEWEST
-from fvs_ros.ros.wiring import HandingPublisher, Input, each
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 
 try:
@@ -93,7 +91,6 @@ def _help(doc: str, parameters: Iterable[Parameter], takes: str) -> str:
 def _spin(nodes: Sequence[FvsNode]) -> int:
     events = all(node.keeps_subscriptions for node in nodes)
     executor: Executor = EventsExecutor() if events else SingleThreadedExecutor()
-    _connect(nodes)
     for node in nodes:
         executor.add_node(node)
     # The garbage collector would look through all that was imported: 15 ms, two ticks.
@@ -112,32 +109,6 @@ def _spin(nodes: Sequence[FvsNode]) -> int:
             for node in nodes:
                 node.destroy_node()
     return max(_exit_codes(nodes), default=EXIT_OK)
-
-
-def _connect(nodes: Sequence[FvsNode]) -> None:
-    """Open the subscriptions that the nodes have asked for, before they spin.
-
-    What one of them publishes is handed to the others, unless it is latched or comes from several;
-    what several hear comes through one subscription, to the first of them first.
-    """
-    publishers: dict[str, list[HandingPublisher]] = {}
-    for node in nodes:
-        for publisher in node.publishers:
-            if isinstance(publisher, HandingPublisher):
-                publishers.setdefault(publisher.topic_name, []).append(publisher)
-    inputs: dict[tuple[str, int], list[tuple[FvsNode, Input]]] = {}
-    for node in nodes:
-        for one in node.take_inputs():
-            name = node.resolve_topic_name(one.topic)
-            inputs.setdefault((name, id(one.qos)), []).append((node, one))
-    for (name, _), hearers in inputs.items():
-        node, first = hearers[0]
-        callbacks = tuple(one.callback for _, one in hearers)
-        inside = publishers.get(name, [])
-        if len(inside) == 1 and first.qos is QOS_NEWEST and inside[0].volatile:
-            inside[0].hearers = callbacks
-        else:
-            node.open(first._replace(callback=each(callbacks)))
 
 
 def _exit_codes(nodes: Iterable[FvsNode]) -> list[int]:

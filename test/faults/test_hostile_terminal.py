@@ -107,7 +107,7 @@ def test_what_would_suspend_does_not_and_a_hangup_leaves_zeros_on_the_wire(ros_t
 def test_the_launcher_outlives_its_reader(request, terminal):
     harness = request.getfixturevalue(terminal)
     commands = harness.collect(Float64MultiArray, topics.COMMANDS.name)
-    process = harness.start("fvs_tools.launcher", "servo", "--one-process")
+    process = harness.start("fvs_tools.launcher", "servo")
     harness.spin_until(lambda: len(commands) > 100, 30.0, "commands")
     assert process.poll() is None
     assert harness.stop(process) == 0

@@ -166,7 +166,6 @@ REFUSED = [
     (MODULE, ["servo", "--shceme", "best"], "did you mean --scheme?"),
     (MODULE, ["servo", "--namespace", "a b"], "--namespace must be"),
     (MODULE, ["servo", "-r", "a"], "not of the form"),
-    (MODULE, ["collect", "--one-process"], topics.CONTROLLER),
     (SERVO, ["left", "right", "right"], "/right/fvs_controller_node, /right/fvs_est"),
     (SERVO, ["a", "b", "--ros-args", "-r", "__ns:=/lab"], "neither __ns nor __node may be"),
     (SERVO, ["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "has no parameter method"),

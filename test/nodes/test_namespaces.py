@@ -23,7 +23,7 @@ def ends(node, name):
 def test_two_robots_side_by_side_each_reach_their_own_target(ros_test):
     left, right = robots = [
         Launched(
-            ros_test, "--one-process", "-p", f"initial_joints_rad:={start}", *SLOW,
+            ros_test, "-p", f"initial_joints_rad:={start}", *SLOW,
             "--scheme", *scheme, namespace=name,
         )
         for name, (start, *scheme) in ROBOTS.items()

@@ -1,14 +1,12 @@
-"""Arms that move as told, each in a namespace: light publishers that time every answer.
+"""An arm that moves as told: a light publisher of joint states, ball positions and targets.
 
-``python -m bench.arms_node RATE_HZ SECONDS NAMESPACE ...`` gives targets until every arm moves,
-counts for so many seconds, and prints what it saw of each arm as JSON.
+``python -m bench.arm_node RATE_HZ SECONDS NAMESPACE`` gives targets until the arm moves, goes on
+for so many seconds, and prints when they begin.
 """
 
 from __future__ import annotations
 
-import json
 import sys
-import threading
 import time
 
 import numpy as np
@@ -28,12 +26,12 @@ from fvs_sim_node.world import World
 
 IMAGE_PERIOD_S, TARGET_PERIOD_S, OFFSET_M = 1.0 / 30.0, 0.8, np.array([0.1, 0.0, 0.05])
 CAMERA, CHAIN = CAMERAS["front"], World().chain
-#: The longest start, and the wait for the last answers, s.
-START_S, IN_FLIGHT_S = 30.0, 0.05
+#: The longest start, and the motion before it counts, s.
+START_S, WARM_UP_S = 30.0, 2.0
 
 
 class Arm:
-    """One arm, its ball and its camera."""
+    """The arm, its ball and its camera."""
 
     def __init__(self, node, namespace):
         def publisher(kind, topic, qos):
@@ -50,7 +48,6 @@ class Arm:
         self._joints_rad, self._velocity_rad_s = np.array(HOME_JOINTS_RAD), np.zeros(6)
         self._home_m, self._side = self._ball_m(), 1.0
         self._image_s = self._target_s = 0.0
-        self.sent_s, self.sent, self.answers_s, self._waits = 0.0, 0, [], False
 
     def _ball_m(self):
         return CAMERA.to_camera(CHAIN.position(self._joints_rad))
@@ -60,9 +57,6 @@ class Arm:
         return bool(self._velocity_rad_s.any())
 
     def _on_command(self, data):
-        if self._waits:  # zeros come unasked, too, when joint states are missing
-            self.answers_s.append(time.monotonic() - self.sent_s)
-        self._waits = False
         self._velocity_rad_s = np.frombuffer(data[-48:])
 
     def step(self, now_s, dt_s):
@@ -78,65 +72,32 @@ class Arm:
         message = ros.to_joint_state(
             stamp_s, UR_JOINT_NAMES, self._joints_rad, self._velocity_rad_s
         )
-        self.sent += 1
-        self.sent_s, self._waits = time.monotonic(), True
         self._joints.publish(message)
 
 
-def play(arms, period_s, until):
-    """Let the arms send, one after the other within a period, until a condition holds."""
-    gap_s = period_s / len(arms)
+def play(executor, arm, period_s, seconds, until=lambda: False):
+    """Let the arm send and hear for so many seconds, or until a condition holds."""
     next_s = time.monotonic()
-    while not until():
-        for arm in arms:
-            next_s = max(next_s + gap_s, time.monotonic())  # never two at once
-            time.sleep(max(0.0, next_s - time.monotonic()))
-            arm.step(time.monotonic(), period_s)
+    end_s = next_s + seconds
+    while next_s < end_s and not until():
+        next_s = max(next_s + period_s, time.monotonic())
+        while (left_s := next_s - time.monotonic()) > 0.0:
+            executor.spin_once(timeout_sec=left_s)
+        arm.step(time.monotonic(), period_s)
 
 
-def main(rate_hz, seconds, namespaces):
+def main(rate_hz, seconds, namespace):
     rclpy.init()
-    node = rclpy.create_node("arms", start_parameter_services=False)
-    arms = [Arm(node, namespace) for namespace in namespaces]
+    node = rclpy.create_node("arm", start_parameter_services=False)
+    arm = Arm(node, namespace)
     executor = EventsExecutor()
     executor.add_node(node)
-    running = True
-
-    def receive():
-        while running:
-            executor.spin_once(timeout_sec=0.1)
-
-    receiver = threading.Thread(target=receive)
-    receiver.start()
-    try:
-        period_s, begin_s = 1.0 / rate_hz, time.monotonic()
-        play(
-            arms,
-            period_s,
-            lambda: all(arm.moves for arm in arms) or time.monotonic() > begin_s + START_S,
-        )
-        begin_s = time.monotonic()
-        play(arms, period_s, lambda: time.monotonic() > begin_s + 2.0)
-        time.sleep(IN_FLIGHT_S)
-        for arm in arms:
-            arm.sent, arm.answers_s = 0, []
-        print("begin", flush=True)
-        begin_s = time.monotonic()
-        play(arms, period_s, lambda: time.monotonic() > begin_s + seconds)
-        time.sleep(IN_FLIGHT_S)
-        print(
-            json.dumps(
-                [
-                    {"sent": arm.sent, "answers_s": list(arm.answers_s), "moves": arm.moves}
-                    for arm in arms
-                ]
-            ),
-            flush=True,
-        )
-    finally:
-        running = False
-        receiver.join()
+    play(executor, arm, 1.0 / rate_hz, START_S, lambda: arm.moves)
+    play(executor, arm, 1.0 / rate_hz, WARM_UP_S)
+    print("begin", flush=True)
+    play(executor, arm, 1.0 / rate_hz, seconds)
+    return 0 if arm.moves else 1
 
 
 if __name__ == "__main__":
-    main(float(sys.argv[1]), float(sys.argv[2]), sys.argv[3:])
+    sys.exit(main(float(sys.argv[1]), float(sys.argv[2]), sys.argv[3]))
