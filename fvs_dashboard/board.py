@@ -9,9 +9,9 @@ from math import inf, isfinite, nan
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fvs_ros import topics
+from fvs_ros.rotations import nearest_rotation
 from fvs_ros.status import SILENT, SILENT_S, number, vector
 from fvs_ros.timeline import History
 
@@ -237,8 +237,8 @@ UNKNOWN = "the camera's place is not known yet: it is learned while the arm move
 class CameraPlacement:
     """The camera's pose in the robot's base frame: a simulator's, or learned from the motion.
 
-    Ball positions in the camera frame are aligned with those from the arm's joints. The ball's
-    place on the flange follows from the pose in turn, and is refined with every position.
+    With the flange's rotation T and place f, a ball that is seen at x and carried at b is at
+    ``R x + t = f + T b``: linear in R, t and b. The nearest rotation of R then fixes the others.
     """
 
     def __init__(self) -> None:
@@ -249,7 +249,6 @@ class CameraPlacement:
         #: A sentence about the pose for the user, or empty.
         self.note = UNKNOWN
         self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=_MEMORY)
-        self._ball_m = np.zeros(3)  # in the flange's frame
 
     def place(self, pose: np.ndarray) -> None:
         """Take the true pose."""
@@ -265,24 +264,24 @@ class CameraPlacement:
             return
         flanges, seen_m = (np.array(part) for part in zip(*self._pairs, strict=True))
         turns, origins_m = flanges[:, :3, :3], flanges[:, :3, 3]
+        unit = np.broadcast_to(np.eye(3), turns.shape)
+        by_rotation = np.einsum("ij,kl->kijl", np.eye(3), seen_m).reshape(-1, 3, 9)
+        rows = np.concatenate([by_rotation, unit, -turns], axis=2)
         weights = np.ones(len(seen_m))
         for _ in range(_PASSES):
-            there_m = origins_m + turns @ self._ball_m
-            middle_m, seen_middle_m = np.average([there_m, seen_m], axis=1, weights=weights)
-            rotation, _ = Rotation.align_vectors(
-                there_m - middle_m, seen_m - seen_middle_m, weights
-            )
-            placed_m = rotation.apply(seen_m - seen_middle_m) + middle_m
-            ball_m = np.einsum("nji,nj->ni", turns, placed_m - origins_m)
-            self._ball_m = np.average(ball_m, axis=0, weights=weights)
-            errors_m = np.linalg.norm(placed_m - there_m, axis=1)
-            weights = 1.0 / (_OUTLIER_M**2 + errors_m**2)
-        extent_m = np.linalg.svd(there_m - middle_m, compute_uv=False) / len(there_m) ** 0.5
+            whole = (weights[:, None, None] * rows).reshape(-1, 15)
+            wanted = (weights[:, None] * origins_m).ravel()
+            rotation = nearest_rotation(np.linalg.lstsq(whole, wanted)[0][:9].reshape(3, 3))
+            wanted = wanted - whole[:, :9] @ rotation.ravel()
+            place_m, ball_m = np.split(np.linalg.lstsq(whole[:, 9:], wanted)[0], 2)
+            off_m = seen_m @ rotation.T + place_m - origins_m - turns @ ball_m
+            errors_m = np.linalg.norm(off_m, axis=1)
+            weights = 1.0 / np.hypot(_OUTLIER_M, errors_m)
+        extent_m = np.linalg.svd(seen_m - seen_m.mean(axis=0), compute_uv=False)[1]
         error_m = np.median(errors_m)
-        if extent_m[1] > _LEAST_EXTENT_M and error_m < _LARGEST_ERROR_M:
+        if extent_m > _LEAST_EXTENT_M * len(seen_m) ** 0.5 and error_m < _LARGEST_ERROR_M:
             self.pose = np.eye(4)
-            self.pose[:3, :3] = rotation.as_matrix()
-            self.pose[:3, 3] = middle_m - rotation.apply(seen_middle_m)
+            self.pose[:3, :3], self.pose[:3, 3] = rotation, place_m
             self.note = (
                 f"the camera's place is learned: ball and arm agree to {1e3 * error_m:.0f} mm"
             )

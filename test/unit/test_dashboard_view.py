@@ -114,8 +114,8 @@ def test_the_cameras_place_is_learned_and_learned_anew_when_it_was_moved(board):
                     seen_m = np.array([0.5, 0.5, 3.0])  # a wrong detection
                 board.add_ball(now_s, now_s - 0.036, seen_m)
                 board.learn_camera(lambda joints: flange_at(joints[0]))
-        np.testing.assert_allclose(placement.pose[:3, 3], camera.position_m, atol=0.02)
-        np.testing.assert_allclose(placement.pose[:3, :3], camera.rotation, atol=0.02)
+        np.testing.assert_allclose(placement.pose[:3, 3], camera.position_m, atol=0.005)
+        np.testing.assert_allclose(placement.pose[:3, :3], camera.rotation, atol=0.005)
         assert "learned" in placement.note
 
 
