@@ -1,4 +1,4 @@
-"""Estimators that use only the last steps: two Kalman filters, least squares, Broyden.
+"""Estimators that use only the last steps: two Kalman filters and least squares.
 
 Each holds one Jacobian, fitted to the last motions, and no map of the workspace. They differ in how
 they distribute a prediction error over its entries.
@@ -22,7 +22,7 @@ FROM_MODEL, FROM_ZERO = "model", "zero"
 
 @dataclass(frozen=True)
 class OnlineConfig(Parameters):
-    """Settings of the online estimators; each reads those that it needs."""
+    """Settings of the online estimators."""
 
     initial: str = parameter(
         FROM_MODEL,
@@ -33,13 +33,13 @@ class OnlineConfig(Parameters):
     initial_deviation_m_rad: float = parameter(
         0.1,
         "Standard deviation of each entry of the initial Jacobian, m/rad; about 0.5 when it "
-        "starts from zero. For lkf, ukf and rls.",
+        "starts from zero.",
         1e-4,
         10.0,
     )
     measurement_noise_m: float = parameter(
         1e-3,
-        "Standard deviation of one coordinate of a ball position, m. For lkf, ukf and rls.",
+        "Standard deviation of one coordinate of a ball position, m.",
         1e-6,
         1.0,
     )
@@ -56,13 +56,6 @@ class OnlineConfig(Parameters):
         "Weight of a step relative to that of the next; 0.98 remembers 50 steps. For rls.",
         0.5,
         1.0,
-    )
-    gain: float = parameter(
-        0.3,
-        "Share of a step's prediction error that is corrected; at 1 the new Jacobian fits the "
-        "step exactly, including its noise. For broyden.",
-        1e-3,
-        1.9,
     )
 
     @property
@@ -108,7 +101,7 @@ class OnlineEstimator(Estimator):
         super().reset()
         self._jacobian: np.ndarray | None = None
         self._initial: np.ndarray | None = None
-        self.covariance = np.zeros((0, 0))  # of the estimate, (m/rad)^2; empty without one
+        self.covariance = np.zeros((0, 0))  # of the estimate, (m/rad)^2; empty before
 
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
         """Present estimate, m/rad, shape (d, n), the same for all joints once it has begun."""
@@ -150,9 +143,9 @@ class OnlineEstimator(Estimator):
             return None
         return (jacobian, covariance) if _is_finite(jacobian) and _is_finite(covariance) else None
 
-    def _entries(self, _m: int, _n: int) -> int:
+    @abstractmethod
+    def _entries(self, m: int, n: int) -> int:
         """Size of the covariance of an m x n Jacobian."""
-        return 0
 
     @abstractmethod
     def _learned(
@@ -177,26 +170,10 @@ class OnlineEstimator(Estimator):
         if self._jacobian is not None and self._initial is not None:
             change = float(np.linalg.norm(self._jacobian - self._initial))
             values["jacobian_change_m_rad"] = change
-        if self._entries(1, 1):
-            variances = np.diag(self.covariance)
-            known = variances.mean() if variances.size else self.config.initial_variance
-            values["entry_deviation_m_rad"] = math.sqrt(known)
+        variances = np.diag(self.covariance)
+        known = variances.mean() if variances.size else self.config.initial_variance
+        values["entry_deviation_m_rad"] = math.sqrt(known)
         return values
-
-
-class BroydenEstimator(OnlineEstimator):
-    """``J += gain (d_ball - J d_joints) d_joints' / (d_joints' d_joints)``.
-
-    The smallest change of J that explains a step. It has no noise model: the shorter a step, the
-    more position noise enters J.
-    """
-
-    def _learned(
-        self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
-    ) -> tuple[np.ndarray, np.ndarray]:
-        moved = step.d_joints_rad
-        share = self.config.gain * moved / (moved @ moved)
-        return jacobian + np.multiply.outer(step.d_feature_m - jacobian @ moved, share), covariance
 
 
 class LkfEstimator(OnlineEstimator):

@@ -8,13 +8,7 @@ from typing import Any
 
 from fvs_estimator_node.base import CHAIN, NETWORKS, Estimator, OracleEstimator
 from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
-from fvs_estimator_node.online import (
-    FROM_ZERO,
-    BroydenEstimator,
-    LkfEstimator,
-    RlsEstimator,
-    UkfEstimator,
-)
+from fvs_estimator_node.online import FROM_ZERO, LkfEstimator, RlsEstimator, UkfEstimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator, RbfModel
 from fvs_ros.chain import SerialChain
 from fvs_ros.joints import JOINT_PARAMETERS
@@ -29,7 +23,6 @@ ESTIMATORS: dict[str, type[Any]] = {
     "lkf": LkfEstimator,
     "ukf": UkfEstimator,
     "rls": RlsEstimator,
-    "broyden": BroydenEstimator,
     "oracle": OracleEstimator,
 }
 

@@ -32,7 +32,6 @@ TUNED: Mapping[str, tuple[str, Mapping[str, float]]] = {
     "lkf": ("online.process_noise", {"explored": 0.01, "model": 0.01, "zero": 0.01}),
     "ukf": ("online.process_noise", {"explored": 0.01, "model": 0.01}),
     "rls": ("online.forgetting", {"explored": 0.85, "model": 0.7}),
-    "broyden": ("online.gain", {"explored": 0.3, "model": 0.3}),
 }
 
 
@@ -50,7 +49,7 @@ class Contestant:
     hears_prelude: bool = True
 
 
-_LABELS = {"lkf": "LKF", "ukf": "UKF", "rls": "RLS", "broyden": "Broyden"}
+_LABELS = {"lkf": "LKF", "ukf": "UKF", "rls": "RLS"}
 _STARTS = {"explored": "explored", "model": "networks' start", "zero": "from zero"}
 
 
@@ -60,8 +59,7 @@ def _started(method: str, start: str) -> Contestant:
     values: dict[str, Any] = {parameter: tuned[start]}
     if start != "model":
         values["online.initial"] = "zero"
-        if method != "broyden":  # Broyden has no covariance
-            values["online.initial_deviation_m_rad"] = IGNORANCE_M_RAD
+        values["online.initial_deviation_m_rad"] = IGNORANCE_M_RAD
     label = f"{_LABELS[method]}, {_STARTS[start]}"
     return Contestant(f"{method}_{start}", label, method, values, start == "explored")
 
@@ -268,7 +266,6 @@ _LINES = {
     "lkf_model": ("--", 1.6),
     "lkf_zero": (":", 1.6),
     "rls_explored": ("-", 1.6),
-    "broyden_explored": ("-", 1.6),
 }
 _LOOKS = {
     ESTIMATORS[name].label: {

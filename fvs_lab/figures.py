@@ -31,7 +31,6 @@ COLOURS = {
     "lkf": "#009E73",
     "ukf": "#56B4E9",
     "rls": "#E69F00",
-    "broyden": "#CC79A7",
 }
 
 

@@ -67,7 +67,7 @@ def test_by_every_method_the_jacobian_is_that_of_the_arm_often_enough(ros_test):
     assert shape == [("feature", 3), ("joint", 6)]
     with Simulation(SimConfig()) as simulation:
         true = simulation.true_jacobian(JointMap().positions(states[-1].name, states[-1].position))
-    for method in ("rbf", "lkf", "ukf", "rls", "broyden", "rbf_left", "poe", "oracle"):
+    for method in ("rbf", "lkf", "ukf", "rls", "rbf_left", "poe", "oracle"):
         assert estimator.choose(method).successful
         wanted = (method, "FROZEN" if method == "oracle" else "LEARNING")
         estimator.wait(

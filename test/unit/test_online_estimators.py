@@ -1,4 +1,4 @@
-"""Kalman filters, recursive least squares, Broyden's update and the oracle."""
+"""Kalman filters and recursive least squares."""
 
 import math
 
@@ -9,14 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fvs_estimator_node.base import MotionStep
-from fvs_estimator_node.online import BroydenEstimator, OnlineConfig, RlsEstimator
+from fvs_estimator_node.online import OnlineConfig, RlsEstimator
 from fvs_estimator_node.rbf import RbfModel
 from fvs_estimator_node.registry import (
     create_estimator,
 )
 from fvs_ros.kinds.ball import Ball
 
-ONLINE = ("lkf", "ukf", "rls", "broyden")
+ONLINE = ("lkf", "ukf", "rls")
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 ZERO = {"online.initial": "zero"}
 
@@ -108,24 +108,6 @@ def test_recursive_least_squares_are_the_batch_ones(forgetting):
     # with forgetting, the limit on the covariance cuts a little of the first steps
     atol = 1e-9 if forgetting == 1.0 else 1e-3
     np.testing.assert_allclose(estimator.jacobian(HOME), batch, rtol=1e-6, atol=atol)
-
-
-def test_broyden_corrects_the_share_of_its_gain_and_changes_the_least():
-    rng = np.random.default_rng(7)
-    for gain in (1.0, 0.25):
-        estimator = BroydenEstimator(random_model(), OnlineConfig(gain=gain))
-        for step in random_steps(rng, 20):
-            moved = step.d_joints_rad
-            before = estimator.jacobian(HOME)
-            estimator.update(step)
-            after = estimator.jacobian(HOME)
-            error = step.d_feature_m - before @ moved
-            np.testing.assert_allclose(
-                step.d_feature_m - after @ moved, (1.0 - gain) * error, atol=1e-12
-            )
-            across = rng.normal(size=6)
-            across -= moved * (across @ moved) / moved.dot(moved)
-            np.testing.assert_allclose(after @ across, before @ across, atol=1e-12)
 
 
 # --- wind-up and nonsense ---
