@@ -201,9 +201,9 @@ def _visible_distance_m(
         cameras.append(simulation.camera)
     ends = []
     for joints in (case.start_rad, case.goal_rad):
-        simulation.reset(np.array(joints))
         for camera in cameras:
             simulation.camera = camera
+            simulation.reset(np.array(joints))  # or the detector refuses the jump
             if not sees(simulation):
                 return None
         ends.append(simulation.world.ball_position())
