@@ -51,6 +51,13 @@ class Region:
         v1 = min(camera.height, self.v0 + self.height + margin)
         return Region(u0, v0, u1 - u0, v1 - v0)
 
+    def overlap(self, other: Region) -> Region | None:
+        """What this and another part have in common."""
+        u0, v0 = max(self.u0, other.u0), max(self.v0, other.v0)
+        u1 = min(self.u0 + self.width, other.u0 + other.width)
+        v1 = min(self.v0 + self.height, other.v0 + other.height)
+        return Region(u0, v0, u1 - u0, v1 - v0) if u1 > u0 and v1 > v0 else None
+
     def cuts_off(self, u: float, v: float, radius: float, camera: Intrinsics) -> bool:
         """Whether the part's border, but not the image's, cuts a circle off; all in pixels."""
         return bool(

@@ -255,7 +255,7 @@ class Trial:
 
 def sees(simulation: Simulation) -> bool:
     """Whether the camera sees enough of the ball, or the tag three times."""
-    looks = [simulation.look().detection for _ in range(3)]
+    looks = (simulation.look().detection for _ in range(3))
     return all(seen is not None and seen.visible_fraction >= 0.9 for seen in looks)
 
 

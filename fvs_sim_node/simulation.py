@@ -118,6 +118,7 @@ class Simulation:
                 max_ball_speed_m_s=100.0,  # nothing else is red: a jump is a camera that was moved
             )
         )
+        self._seen_from: CameraPose | None = None  # at the last image that was drawn
         self._named: tuple[str, CameraPose] | None = None  # the named camera that is in use
         self.configure(config)
         self.reset()
@@ -309,10 +310,30 @@ class Simulation:
             return None
         if not self.config.rendered:
             return self._know()
-        exposure = Exposure(self._draw)
+        around = self._around()
+        if around is None:
+            return None
+        if self._seen_from is not self.camera:  # nobody expects it where it was in the image
+            self._seen_from = self.camera
+            self._detector.reset()
+        exposure = Exposure(self._draw, around)
         camera = CameraModel(self._reported_intrinsics)
         sighting = self._detector.look(self.time_s, exposure.rgb, exposure.depth_m, camera)
         return None if sighting.problem else sighting.found
+
+    def _around(self) -> Region | None:
+        """The part of the image with ball or tag, and some way around it; None if out of view."""
+        true, camera, radius_m = self.true_tag_pose(), self.intrinsics, self.config.ball_radius_m
+        if self.world.tag is not None:
+            region = self.world.tag.region(true, camera)
+            return None if region is None else region.grown(region.width // 2 + 16, camera)
+        if true.position_m[2] < 2.0 * radius_m:
+            return None
+        half_px = 2.0 * camera.fx * radius_m / true.position_m[2] + 16.0
+        middle_px = camera.project(true.position_m)
+        edge = np.array([camera.width, camera.height]) - 1.0
+        corners = np.clip([middle_px - half_px, middle_px + half_px], 0.0, edge)
+        return Region.around(corners) if np.ptp(corners, axis=0).min() > 8.0 else None
 
     def _draw(self, region: Region) -> tuple[np.ndarray, np.ndarray]:
         """Colours and depths of a part of the image."""
