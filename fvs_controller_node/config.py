@@ -98,9 +98,9 @@ class SupervisorConfig(JointLimits, KindConfig):
     )
     stall_time_s: float = live_parameter(
         6.0,
-        f"Time without progress, at an error above {1e3 * stall_error_m:g} mm, after which the arm "
-        "is held, s. A sixth of it applies to an error grown "
-        f"by {100.0 * (growth_factor - 1.0):g} % and {1e3 * growth_m:g} mm.",
+        "The arm is held after this time without progress, s, at an error above "
+        f"{1e3 * stall_error_m:g} mm; and after a sixth of it if the error grew by "
+        f"{100.0 * (growth_factor - 1.0):g} % and {1e3 * growth_m:g} mm.",
         0.1,
         60.0,
     )

@@ -41,9 +41,16 @@ class Progress:
         self.settled = False
         self.restart()
 
-    def take_target(self, target_m: np.ndarray, config: SupervisorConfig) -> None:
-        """Restart if the target moved more than ``growth_m`` on its path, m, (d,), since then."""
-        if self._task is None or length(target_m - self._task) > config.growth_m:
+    def take_target(
+        self, target_m: np.ndarray, config: SupervisorConfig, moving: bool = False
+    ) -> None:
+        """Restart if the target moved more than ``growth_m`` on its path, m, (d,), since then.
+
+        A moving one is no new task, but the next one counts from there.
+        """
+        if moving:
+            self._task = target_m
+        elif self._task is None or length(target_m - self._task) > config.growth_m:
             self._task = target_m
             self.restart()
 
@@ -102,6 +109,7 @@ class Progress:
             self._swung, self._still_s = _Mark(error_m, target_m), 0.0
         elif self._still_s > _REST_S:
             self._swings_m = self._first_m = 0.0
+            self._swung = _Mark(error_m, target_m)
 
     def check(self, config: SupervisorConfig) -> Finding | None:
         """Find an error that grows, swings or stalls."""
@@ -140,7 +148,7 @@ class Goal:
         """Change the settings; a target that a new box leaves outside is dropped."""
         self._config = config
         if self.target is not None and self._outside(self.target):
-            self.target = None
+            self.target = self._last = None
             self._motion.restart()
 
     def _refusal(self, target: np.ndarray, frame: str) -> str:
@@ -178,8 +186,9 @@ class Goal:
             return True, "target ignored: a newer one has arrived"
         self._last, self._path_m = target, path_m
         self.moving = update is Update.CONTINUED
-        if not self.moving:  # a moving one is no new task
-            self.progress.take_target(path_m, self._config)
+        self.progress.take_target(path_m, self._config, self.moving)
+        if not self.moving:
+            self._error_of, self._error_m = (None, None), None  # its direction is of another task
         self.target, self._now_m = target, path_m
         return True, f"target set to {kind.text(target)}"
 

@@ -124,6 +124,7 @@ class ServoLoop:
         """Take a joint state that cannot be used, and why."""
         self.track.reset()  # after a jump: the feature did not move with it
         self._agreement.restart()
+        self._unjudged.clear()
         self.supervisor.inputs[JOINT_STATES].bad(why)
 
     def add_image(self, now_s: float, stamp_s: float, z: np.ndarray) -> None:

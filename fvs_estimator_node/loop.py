@@ -90,8 +90,10 @@ class EstimationLoop:
         z, newest = self.track.now(), self.track.newest
         if z is None and newest is not None:
             z = newest.z
-        self._jacobian = self.estimator.jacobian(joints_rad, z)
-        return self._jacobian
+        jacobian = self.estimator.jacobian(joints_rad, z)
+        if np.all(np.isfinite(jacobian)):
+            self._jacobian = jacobian
+        return jacobian
 
     def status_values(self) -> dict[str, Any]:
         """Live key numbers of pairing and method."""
@@ -107,19 +109,19 @@ class EstimationLoop:
     # --- between ---
 
     def _learn(self, images: list[Image]) -> bool:
+        if not (self.learns and self.estimator.learns):
+            self._waiting.clear()
+            return False
         self._waiting += images
         # The first image shows that the camera was moved since the training, if its noise is known.
         known = self.track.filter.noise.known or bool(self.estimator.problem)
         if not known and len(self._waiting) < _WAIT_IMAGES:
             return False
         images, self._waiting = self._waiting, []
-        learns = self.learns and self.estimator.learns and bool(images)
         for image in images:
             step = self.pairing.step(image)
-            if not learns:
-                continue
             self.estimator.observe(image.joints_rad, image.z, self.track.filter.noise_m)
             if step is not None:
                 self.estimator.update(step)
                 self.steps += 1
-        return learns
+        return bool(images)

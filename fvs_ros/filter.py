@@ -23,7 +23,7 @@ _BEHIND = 5.0
 _MEAN_CLIP = 4.0
 #: An image further off than this many standard deviations is an outlier.
 OUTLIER = 6.0
-#: Slack of that, m: a small error that the noise does not tell.
+#: Margin of that for systematic error, m.
 _GATE_M = 0.002
 #: After this count in a row the camera or the tool moves, even if no two of them agree.
 _REPEATS = 6
@@ -131,6 +131,7 @@ class PathFilter:
 
     def __init__(self) -> None:
         self.noise = NoiseVariance()
+        self._jumps = 0  # of the camera or the tool
         self.restart()
 
     def restart(self) -> None:
@@ -162,8 +163,8 @@ class PathFilter:
         Returns
         -------
         list of Image
-            Those that are accepted now, oldest first: this one; none, for an outlier; this one and
-            the outliers before it, where they turn out to be true.
+            Those that are accepted now, oldest first, in a new run after a jump: this one; none,
+            for an outlier; this one and the outlier before it, where they agree.
         """
         if self.x is None:
             return self._reinitialise(image)
@@ -183,13 +184,16 @@ class PathFilter:
             self._outliers.clear()
             self.noise.add(image.seen_m - image.moved_m)
             self._inflate_on_bias(innovation, S)
-            return [image]
-        before = self._outliers[-1][1] if self._outliers else None
+            return [image._replace(run=image.run + self._jumps)]
+        before = self._outliers[-1] if self._outliers else None
         self._outliers.append((image, innovation))
-        agreed = before is not None and self._agree(before, innovation, motion)
-        if not agreed and len(self._outliers) < _REPEATS:
+        agreed = [image]
+        if before is not None and self._agree(before[1], innovation, motion):
+            agreed = [before[0], image]
+        elif len(self._outliers) < _REPEATS:
             return []
-        return self._reinitialise(image)
+        self._jumps += 1
+        return self._reinitialise(*agreed)
 
     def _agree(self, first_m: np.ndarray, second_m: np.ndarray, motion_m: np.ndarray) -> bool:
         """Whether two outliers in a row, m, (d,), agree: the camera or the tool was moved.
@@ -200,16 +204,15 @@ class PathFilter:
         apart_m = length(second_m - first_m)
         return apart_m <= OUTLIER * 2.0**0.5 * self.noise_m + 2.0 * length(motion_m)
 
-    def _reinitialise(self, image: Image) -> list[Image]:
-        images = [outlier for outlier, _ in self._outliers] or [image]
-        self._outliers = []
+    def _reinitialise(self, *images: Image) -> list[Image]:
+        image, self._outliers = images[-1], []
         self.x, self.moved_m = image.seen_m.copy(), image.moved_m
         for accepted in images:
             self.noise.add(accepted.seen_m - accepted.moved_m)
         self._P = self.noise.variance_m2
         self._c = np.zeros_like(image.seen_m)
         self._mean = np.zeros_like(image.seen_m)
-        return images
+        return [accepted._replace(run=accepted.run + self._jumps) for accepted in images]
 
     def _inflate_on_bias(self, innovation_m: np.ndarray, S: float) -> None:
         """Inflate the variance when innovations keep one direction, whatever the cause."""

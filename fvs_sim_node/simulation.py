@@ -309,7 +309,7 @@ class Simulation:
         if self.config.camera_covered:
             return None
         if not self.config.rendered:
-            return self._know()
+            return self._ideal_detection()
         around = self._around()
         if around is None:
             return None
@@ -343,7 +343,7 @@ class Simulation:
         depth_m = add_depth_noise(depth_m, camera.fx, rng, config.depth_noise)
         return rgb, depth_m * np.float32(1.0 + config.depth_error)
 
-    def _know(self) -> BallDetection | TagPose | None:
+    def _ideal_detection(self) -> BallDetection | TagPose | None:
         """Replace an image: the true position or pose, as a perfect detection."""
         true, camera, tag = self.true_tag_pose(), self.intrinsics, self.world.tag
         position_m = self.as_seen(true.position_m)

@@ -25,8 +25,8 @@ class KindConfig(FeatureConfig):
     )
     lever_arm_m: float = parameter(
         0.3,
-        "Lever arm: what a rotation counts for, as a length along its arc at this radius, m; for "
-        "pose. Every limit and gain of a length holds for the arc, too.",
+        "Lever arm: converts rotation to length, m per rad; for pose. Limits and gains of lengths "
+        "then hold for rotation, too.",
         0.1,
         1.0,
     )

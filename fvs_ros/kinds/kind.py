@@ -92,8 +92,7 @@ class Kind:
     ) -> np.ndarray:
         """Motion from a measurement ``origin`` to z, m, (d,).
 
-        Where two directions are equally short but for noise, that of a motion ``before``, if
-        given, is kept.
+        Near 180 degrees, the direction of rotation of a motion ``before`` is kept.
         """
         return z - origin
 

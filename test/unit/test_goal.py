@@ -1,0 +1,51 @@
+"""The target in force, and the progress towards it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from fvs_controller_node.config import SupervisorConfig
+from fvs_controller_node.goal import Goal
+from fvs_ros.camera import CAMERA_FRAME as FRAME
+from fvs_ros.kinds.pose import Pose
+
+DT_S = 0.008
+HERE, THERE = np.array([0.0, 0.0, 1.0]), np.array([0.8, 0.0, 1.0])
+
+
+def test_a_target_that_is_set_back_after_a_moving_one_is_a_task_of_its_own():
+    config = SupervisorConfig()
+    goal = Goal(config)
+    assert goal.set(HERE, FRAME)[0]
+    for k in range(161):
+        assert goal.set(HERE + k / 160.0 * (THERE - HERE), FRAME, 0.03 * k)[0]
+        goal.track(0.03 * k)
+    for tick in range(300):
+        goal.track(4.8 + DT_S * tick)
+        goal.see(THERE, DT_S, True)
+    assert goal.settled
+    assert goal.set(HERE, FRAME)[0]
+    assert not goal.settled
+    for share in np.linspace(1.0, 0.0, 120):
+        goal.see(HERE + share * (THERE - HERE), DT_S, True)
+        assert goal.progress.check(config) is None
+
+
+def test_a_target_that_a_new_box_dropped_does_not_come_back_by_itself():
+    config = SupervisorConfig()
+    goal = Goal(config)
+    goal.set(THERE, FRAME)
+    assert goal.was_set(THERE)
+    goal.configure(replace(config, workspace_max_m=(0.5, 1.0, 3.0)))
+    assert goal.target is None
+    assert not goal.was_set(THERE)
+
+
+def test_the_direction_of_rotation_is_not_that_of_another_task():
+    pose, goal = Pose(), Goal(SupervisorConfig(feature="pose"))
+    at = pose.of_body(HERE, np.eye(3))
+    goal.set(pose.retract(at, np.array([0.0, 0.0, 0.0, -0.001, 0.0, 0.0])), FRAME)
+    goal.see(at, DT_S, False)
+    goal.set(pose.retract(at, np.array([0.0, 0.0, 0.0, 0.3 * np.radians(165.0), 0.0, 0.0])), FRAME)
+    goal.see(at, DT_S, False)
+    assert np.degrees(np.linalg.norm(goal.error_m) / 0.3) < 166.0
