@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
 import numpy as np
 
 from fvs_controller_node.config import default_values
-from fvs_estimator_node.steps import StepPairing
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab import trials
-from fvs_lab.results import METRICS, Results
-from fvs_tools.closed_loop import ClosedLoop
+from fvs_lab.results import label_of
 
 BASE = "as it comes"
 LITERAL, LITERAL_SAME = "as printed, its own gains", "as printed, same gains"
@@ -29,6 +27,8 @@ _SOFTER = {40: 0.35, 80: 0.25, 120: 0.15}
 _TURNS_DEG = (20, 45)
 #: Ratios below this are not significant.
 NOTABLE = 1.05
+#: Length of a run, s.
+DURATION_S = 3.4
 
 _COLOURS = {"control law": "#0072B2", "Jacobian": "#D55E00", "images": "#009E73",
             "camera": "#CC79A7"}  # fmt: skip
@@ -48,7 +48,8 @@ def variants() -> list[trials.Variant]:
     """All rows: what is changed, its group, and the row that it is compared with."""
 
     def one(name: str, group: str, against: str = BASE, **changes: Any) -> trials.Variant:
-        return trials.Variant({"change": name, "group": group, "against": against}, **changes)
+        labels = {"change": name, "group": group, "against": against}
+        return trials.Variant(labels, **changes)
 
     law, update, images, camera = _COLOURS
     # No sliding term, and gains beside the default; negative for the printed sign.
@@ -82,150 +83,72 @@ def variants() -> list[trials.Variant]:
     return found
 
 
-# ---- long rests -----------------------------------------------------------------------------
-
-NO_LEAK, ZERO, OFFLINE = "no leak", "leak toward zero", "leak toward the trained weights"
-#: Parameters of the estimator by what is different.
-RESTS: Mapping[str, Mapping[str, Any]] = {
-    NO_LEAK: {},
-    ZERO: {"rbf.k3": 0.01, "rbf.leak_target": "zero"},
-    OFFLINE: {"rbf.k3": 0.01, "rbf.leak_target": "offline"},
-}
-
-
-def run_rest(task: tuple[str, trials.Case, float]) -> dict[str, Any]:
-    """Go to a case's target and hold it for a time, s, with the exact camera (images take long).
-
-    The estimator learns from every image, even at rest. Returns a row with its error before and
-    after the rest.
-    """
-    name, case, hold_s = task
-    simulation = trials.simulation_of(trials.Conditions(rendered=False))
-    simulation.reset(case.goal_rad)
-    target_m = simulation.true_ball_position()
-    simulation.reset(case.start_rad, case.seed)
-    one = trials.Trial(trials.Variant(estimator_values=RESTS[name]), case).loop(simulation)
-    one.estimation.pairing = StepPairing(min_step_rad=1e-12)  # below every motion of the joints
-    one.run(trials.PRELUDE_S)
-    one.set_target(target_m)
-    one.run(4.0)
-    before = _estimators_error(one)
-    one.run(hold_s)
-    return {
-        "update": name,
-        "case": case.name,
-        "error_before": before,
-        "error_after": _estimators_error(one),
-    }
-
-
-def _estimators_error(one: ClosedLoop) -> float:
-    """Relative error of the estimator's Jacobian."""
-    joints = one.simulation.joints_rad
-    true = one.simulation.true_jacobian(joints)
-    return float(trials.relative_errors(one.estimator.jacobian(joints), true))
-
-
 # ---- the experiment -------------------------------------------------------------------------
 
 
 def measure(context: lab.Context) -> lab.Found:
-    """Run every change and the long rests."""
-    cases = trials.make_cases("a", context.count(8, 1), 303)
-    duration_s = 1.6 if context.quick else 3.4
-    hold_s = 2.0 if context.quick else 60.0
-    changes = context.run(product(variants(), cases), "ablation", duration_s=duration_s)
-    rested = cases[: 1 if context.quick else 3]
-    rests = [(name, case, hold_s) for name in RESTS for case in rested]
-    held = context.map(run_rest, rests, "long rests")
-    runs = [{"part": "change", **row} for row in changes] + [
-        {"part": "rest", **one} for one in held
+    """Run every change."""
+    cases = trials.make_cases("a", context.count(8), 303)
+    changes = [
+        variant.trial(case, trials.Conditions(), duration_s=DURATION_S)
+        for variant, case in product(variants(), cases)
     ]
-    facts = {
-        "count": len(cases),
-        "duration_s": duration_s,
-        "rests": len(rested),
-        "hold_s": hold_s,
-    }
-    data = {"cases": cases, "variants": variants()}
-    return lab.Found(Results(runs), facts, data)
+    runs = context.run(changes, "ablation")
+    return lab.Found(runs, {"count": len(cases)}, {"cases": cases, "variants": variants()})
 
 
 def claims(found: lab.Found) -> Iterator[lab.Claim]:
     """What each part is worth."""
-    rows = found.runs.where(part="change").groups("change")
+    rows = found.runs.groups("change")
 
     def ratio(name: str, metric: str = "to_5mm_s", against: str = "", least: float = NOTABLE):
         other = against or rows[name].rows[0]["against"]
-        words = f"{name} over {other}: {METRICS[metric].label.partition(',')[0]}"
-        return lab.above(words, rows[name].over(rows[other], metric), least)
+        words = name if other == BASE else f"{name} over {other}"
+        label = f"{words}: {label_of(metric).partition(',')[0]}"
+        return lab.above(label, rows[name].over(rows[other], metric), least)
 
     def slower(name: str) -> list[lab.Part]:
         return [ratio(name), ratio(name, "to_2mm_s")]
 
     blind = [f"{latency_ms} ms, no prediction, softer gains" for latency_ms in _SOFTER]
-    turned = [f"{turn_deg}°, {FROZEN}" for turn_deg in _TURNS_DEG]
-    printed = [(_sliding(-gain), gain) for gain in (0.005, 0.03, 0.1)]
     oracle = rows[BASE].over(rows[ORACLE], "to_5mm_s")
     yield lab.ours("implicit", *slower(LITERAL), ratio(LITERAL, "jitter_rad_s"), any_of=True)
     same = [ratio(LITERAL_SAME, "to_2mm_s"), ratio(LITERAL_SAME, "jitter_rad_s", least=2.0)]
     yield lab.ours("same_gains", *same, any_of=True)
     yield lab.ours("prediction", *(ratio(name) for name in blind))
     yield lab.papers("update", *slower(FROZEN), any_of=True)
-    yield lab.papers("turned", *(lab.either(name, *slower(name)) for name in turned))
+    for turn_deg in _TURNS_DEG:
+        name = f"{turn_deg}°, {FROZEN}"
+        yield lab.papers("turned", *slower(name), any_of=True, turn_deg=turn_deg)
     yield lab.ours("oracle", lab.below("settling time over that with it", oracle, 1.1))
     wrong = ratio(UNCAPPED, "jacobian_error", least=2.0)
     yield lab.ours("cap", ratio(UNCAPPED), wrong, any_of=True)
     yield lab.papers("sliding", ratio(_sliding(0.0)))
     signs = [
-        ratio(name, against=BASE if gain == 0.005 else _sliding(gain)) for name, gain in printed
+        ratio(_sliding(-gain), against=BASE if gain == 0.005 else _sliding(gain))
+        for gain in (0.005, 0.03, 0.1)
     ]
     yield lab.ours("printed_sign", *signs)
-    yield from _leak_claims(found.runs.where(part="rest"))
-
-
-def _leak_claims(rests: Results) -> Iterator[lab.Claim]:
-    after = {
-        name: float(np.median(ones.values("error_after")))
-        for name, ones in rests.groups("update").items()
-    }
-    none = after[NO_LEAK]
-    for claim, name, most, wanted in (
-        ("leak_zero", ZERO, max(0.1, 2.0 * none), "above"),
-        ("leak_offline", OFFLINE, max(0.05, 1.5 * none), "at most"),
-    ):
-        text = f"{100 * after[name]:.1f} % (without a leak {100 * none:.1f} %), asked: {wanted}"
-        holds = (after[name] > most) is (wanted == "above")
-        label = "error of the Jacobian after the rest"
-        yield lab.ours(claim, lab.Part(label, f"{text} {100 * most:.0f} %", holds))
 
 
 TABLES = (
     lab.TableOf(
         "changes",
-        ("change", "against"),
+        ("change",),
         (
             "to_5mm_s",
-            "to_2mm_s",
-            "final_rms_m",
-            "jitter_rad_s",
-            "jacobian_error",
+            "to_2mm_s:half",
+            "jitter_rad_s:half",
+            "jacobian_error:half",
             "failure:causes",
         ),
-        where={"part": "change"},
-    ),
-    lab.TableOf(
-        "rests",
-        ("update",),
-        ("error_before", "error_after"),
-        where={"part": "rest"},
     ),
 )
 
 
 def figures(found: lab.Found) -> Iterator[lab.Drawn]:
     """What each change does to settling time and jitter, as ratios."""
-    rows = found.runs.where(part="change").groups("change")
+    rows = found.runs.groups("change")
     shown = {name: ones for name, ones in rows.items() if name != BASE}
     figure, (axes,) = draw.grid(1, 2, (12, 8.5), sharey=True)
     for axis, metric, ticks in zip(
@@ -244,7 +167,7 @@ def figures(found: lab.Found) -> Iterator[lab.Drawn]:
             axis.plot(value, place, marker, label=first["group"], **look)
         axis.axvline(1.0, color="black", linewidth=0.8)
         draw.plain_ticks(axis, ticks)
-        label = f"{METRICS[metric].label.partition(',')[0]}, ratio"
+        label = f"{label_of(metric).partition(',')[0]}, ratio"
         axis.set(xlabel=label, xlim=(0.9 * ticks[0], 1.25 * ticks[-1]))
     names = [
         name if (against := ones.rows[0]["against"]) == BASE else f"{name}  [over {against}]"

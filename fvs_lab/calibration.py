@@ -14,14 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from fvs_detector_node.tag_pose import TagPose
 from fvs_detector_node.tags import Tag
-from fvs_estimator_node.calibration import Calibration
 from fvs_estimator_node.collecting import CollectorConfig
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.hand_eye import calibrate
 from fvs_estimator_node.hand_eye_start import registered
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.arms import collect, collected
+from fvs_lab.arms import collect
 from fvs_lab.results import Results
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
 from fvs_ros.chain import SerialChain
@@ -29,16 +28,18 @@ from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
-from fvs_sim_node.robot import ROBOTS, robot_of
+from fvs_sim_node.robot import robot_of
 from fvs_sim_node.simulation import Simulation
-from fvs_tools.overlay import arm_px
 
-#: Duration of the motion, s, and others that are tried.
-MOTION_S, OTHERS_S = 60.0, (15.0, 30.0)
+#: Duration of the motion, s.
+MOTION_S = 60.0
 #: Errors of the joints' zeros, degrees, of random sign.
 ZEROS_DEG = (0.0, 1.0)
 #: Poses that are taught for the classic solvers, and the board that they see.
 TAUGHT, BOARD = 20, Tag(tag_size_m=0.075, tag_layout="plate")
+#: Our schemes, and the classic ones.
+FEATURES = (Ball.name, Pose.name)
+MOTION = tuple(f"motion, {feature}" for feature in FEATURES)
 LEAST_SQUARES = "least squares with zeros"
 SOLVERS = {
     "Tsai": cv2.CALIB_HAND_EYE_TSAI,
@@ -50,20 +51,10 @@ SOLVERS = {
 #: Python lacks it in OpenCV 5.0.0, by a fault of the binding that is mended upstream (pull request
 #: 29584); without it, the solvers have no rows.
 _SOLVE: Any = getattr(cv2, "calibrateHandEye", None)
-#: Other conditions, with a ball and an exact URDF, and other arms before an exact camera.
-OTHERS = {
-    "camera at 0.8 m": Conditions(position_noise_m=0.0, camera_distance_m=0.8),
-    "camera at 1.8 m": Conditions(position_noise_m=0.0, camera_distance_m=1.8),
-    "1 mm more noise": Conditions(position_noise_m=0.001),
-    "joints: 0.2 mrad of noise": Conditions(position_noise_m=0.0, encoder_noise_rad=2e-4),
-    "focal length 1 % too long": Conditions(position_noise_m=0.0, focal_error=0.01),
-}
-ARMS = ("iiwa", "xarm6", "panda")
-#: Largest errors, m and degrees: of an exact URDF, and with errors of the zeros.
-EXACT, WITH_ZEROS = (0.001, 0.1), (0.003, 0.3)
+#: Largest errors, m and degrees, by the size of the zeros' errors.
+LIMITS = {0.0: (0.001, 0.1), 1.0: (0.003, 0.3)}
 #: Quantile of chi squared with six degrees of freedom, for 95 %.
 _ELLIPSOID = 12.592
-_TURNS = -1.0, 1.0
 
 
 @lru_cache(maxsize=1)
@@ -72,14 +63,9 @@ def arm() -> Kinematics:
     return kinematics(read_joints(robot_of("ur5").file().read_text("utf-8")))
 
 
-def conditions(feature: str, tag: Tag | None = None) -> Conditions:
-    """Rendered images, with the camera's noise."""
-    return Conditions(feature, position_noise_m=0.0, tag=tag or Tag())
-
-
 def zeros_rad(seed: int, size_deg: float) -> np.ndarray:
     """Errors of the joints' zeros: what has to be added to what is reported."""
-    signs = np.random.default_rng([seed, 7]).choice(_TURNS, len(HOME_RAD))
+    signs = np.random.default_rng([seed, 7]).choice([-1.0, 1.0], len(HOME_RAD))
     return np.asarray(np.radians(size_deg) * signs)
 
 
@@ -96,77 +82,38 @@ def errors(
     return np.append(place_m - turn @ camera.position_m, off)
 
 
-def _row(off: np.ndarray, **columns: Any) -> dict[str, Any]:
-    way_m, turn_rad = (float(np.linalg.norm(one)) for one in np.split(off, 2))
-    return {**columns, "place_m": way_m, "turn_deg": float(np.degrees(turn_rad))}
+def _row(scheme: str, zeros_deg: float, off: np.ndarray, **columns: Any) -> dict[str, Any]:
+    place_m, turn_rad = np.linalg.norm(off.reshape(2, 3), axis=1).tolist()
+    labels = {"scheme": scheme, "zeros_deg": zeros_deg, **columns}
+    return {**labels, "place_m": place_m, "turn_deg": float(np.degrees(turn_rad))}
 
 
-def _inside(found: Calibration, off: np.ndarray) -> bool:
-    """Whether the truth is within the 95 % ellipsoid."""
-    return bool(off @ np.linalg.solve(found.covariance, off) < _ELLIPSOID)
-
-
-def _asked(feature: str, seed: int) -> CollectorConfig:
-    return CollectorConfig(
-        duration_s=MOTION_S,
+def by_motion(task: tuple[int, str, float]) -> list[dict[str, Any]]:
+    """Collect as the collector does for a time, s, and calibrate: a row for each size of zeros."""
+    seed, feature, duration_s = task
+    simulation = simulation_of(Conditions(feature, position_noise_m=0.0))
+    config = CollectorConfig(
+        duration_s=duration_s,
         seed=seed,
         feature=feature,
         joint_range_rad=(0.5,) * len(HOME_RAD),
         max_joint_velocity_rad_s=0.65,
     )
-
-
-def by_motion(task: tuple[int, str]) -> list[dict[str, Any]]:
-    """Collect as the collector does, and calibrate: a row for each size of zeros and duration."""
-    seed, feature = task
-    simulation = simulation_of(conditions(feature))
-    data = collect(simulation, _asked(feature, seed))
+    data = collect(simulation, config)
     rows = []
     for size_deg in ZEROS_DEG:
         zeros = zeros_rad(seed, size_deg)
-        for duration_s in (*OTHERS_S, MOTION_S):
-            some = _first(data, duration_s)
-            found = calibrate(replace(some, joints_rad=some.joints_rad - zeros), arm())
-            off = errors(simulation, zeros, found.rotation, found.translation_m)
-            known = np.isfinite(found.zeros_deviation_rad)
-            rows.append(
-                _row(
-                    off,
-                    scheme=f"motion, {feature}",
-                    motion_s=duration_s,
-                    zeros_deg=size_deg,
-                    seed=seed,
-                    inside=_inside(found, off),
-                    zero_deg=float(np.degrees(np.abs((found.zeros_rad - zeros)[known]).max())),
-                )
-            )
+        found = calibrate(replace(data, joints_rad=data.joints_rad - zeros), arm())
+        off = errors(simulation, zeros, found.rotation, found.translation_m)
+        inside = bool(off @ np.linalg.solve(found.covariance, off) < _ELLIPSOID)
+        rows.append(_row(f"motion, {feature}", size_deg, off, seed=seed, inside=inside))
     return rows
-
-
-def elsewhere(task: tuple[str, int]) -> dict[str, Any]:
-    """Calibrate under other conditions, or another arm: a row."""
-    name, seed = task
-    if name in ARMS:
-        robot = robot_of(name)
-        kin = kinematics(read_joints(robot.file().read_text("utf-8")), robot.ball_link)
-        simulation, data = collected(name, MOTION_S, seed)
-    else:
-        kin, simulation = arm(), simulation_of(OTHERS[name])
-        data = collect(simulation, _asked(Ball.name, seed))
-    found = calibrate(data, kin)
-    off = errors(simulation, np.zeros(1), found.rotation, found.translation_m)
-    return _row(off, scheme=name, part="elsewhere", seed=seed, inside=_inside(found, off))
-
-
-def _first(data: DataSet, duration_s: float) -> DataSet:
-    some = data.stamps_s < data.stamps_s[0] + duration_s
-    columns = ("stamps_s", "joints_rad", "ball_m", "segment")
-    return replace(data, **{name: getattr(data, name)[some] for name in columns})
 
 
 def by_solvers(seed: int) -> list[dict[str, Any]]:
     """Teach poses before a rendered board, and give them to OpenCV's solvers."""
-    simulation, rng = simulation_of(conditions(Pose.name, BOARD)), np.random.default_rng([seed, 8])
+    simulation = simulation_of(Conditions(Pose.name, position_noise_m=0.0, tag=BOARD))
+    rng = np.random.default_rng([seed, 8])
     joints: list[np.ndarray] = []
     boards: list[tuple[np.ndarray, np.ndarray]] = []
     while len(joints) < TAUGHT:
@@ -181,7 +128,7 @@ def by_solvers(seed: int) -> list[dict[str, Any]]:
         zeros = zeros_rad(seed, size_deg)
         reported = np.array(joints) - zeros
         off = errors(simulation, zeros, *least_squares_pose(reported, boards))
-        rows.append(_row(off, scheme=LEAST_SQUARES, zeros_deg=size_deg, seed=seed))
+        rows.append(_row(LEAST_SQUARES, size_deg, off, seed=seed))
         turns, places = arm().tip_at(reported)  # rows: the tip's axes
         # The solvers are for a camera in the hand; for one beside it, the base moves as the tip
         # sees it.
@@ -191,7 +138,7 @@ def by_solvers(seed: int) -> list[dict[str, Any]]:
                 list(turns), shifts, *map(list, zip(*boards, strict=True)), method=method
             )
             off = errors(simulation, zeros, rotation, place.ravel())
-            rows.append(_row(off, scheme=name, zeros_deg=size_deg, seed=seed))
+            rows.append(_row(name, size_deg, off, seed=seed))
     return rows
 
 
@@ -226,92 +173,53 @@ def least_squares_pose(
 
 def measure(context: lab.Context) -> lab.Found:
     """Calibrate by motion and by taught poses, with many seeds."""
-    seeds = range(1, 1 + context.count(20, 1))
-    tasks = [(seed, feature) for feature in (Ball.name, Pose.name) for seed in seeds]
-    motion = context.map(by_motion, tasks[:1] if context.quick else tasks, "motion")
-    names = (*OTHERS, *(name for name in ARMS if ROBOTS[name].installed))
-    other = [(name, seed) for name in names for seed in seeds[: max(1, len(seeds) // 4)]]
-    others = context.map(elsewhere, other[:1] if context.quick else other, "elsewhere")
+    seeds = range(1, 1 + context.count(20))
+    duration_s = 10.0 if context.quick else MOTION_S
+    features = FEATURES[: 1 if context.quick else None]
+    tasks = [(seed, feature, duration_s) for feature in features for seed in seeds]
+    motion = context.map(by_motion, tasks, "motion")
     taught = context.map(by_solvers, seeds, "taught poses")
-    rows = [row for some in (*motion, *taught, others) for row in some]
+    rows = [row for some in (*motion, *taught) for row in some]
     facts = {"count": len(seeds), "opencv": cv2.__version__, "solvers": bool(_SOLVE)}
-    rgb, seen_px, off_px = overlay()
-    drawn = {"rgb": rgb, "seen_px": seen_px, "off_px": float(off_px.max())}
-    return lab.Found(Results(rows), {**facts, **drawn}, facts)
+    return lab.Found(Results(rows), facts, facts)
 
 
 def claims(found: lab.Found) -> Iterator[lab.Claim]:
     """Accuracy, honesty, and the classic solvers."""
-    for size_deg, limits in zip(ZEROS_DEG, (EXACT, WITH_ZEROS), strict=True):
-        runs = found.runs.where(zeros_deg=size_deg, motion_s=MOTION_S)
-        good = [row["place_m"] < limits[0] and row["turn_deg"] < limits[1] for row in runs]
-        yield lab.ours(
-            "exact" if size_deg == 0.0 else "zeros", lab.kept("runs", sum(good), len(good), 1.0)
-        )
-        best = found.runs.where(zeros_deg=size_deg).those(
-            lambda row: row["scheme"] in (LEAST_SQUARES, *SOLVERS)
-        )
-        solvers, parts = best.groups("scheme").values(), []
+    motion = found.runs.those(lambda row: row["scheme"] in MOTION)
+    for zeros_deg, (place_m, turn_deg) in LIMITS.items():
+        runs = motion.where(zeros_deg=zeros_deg)
+        good = [row["place_m"] < place_m and row["turn_deg"] < turn_deg for row in runs]
+        yield lab.ours("exact" if zeros_deg == 0.0 else "zeros", lab.kept("runs", good, 1.0))
+        others = found.runs.where(zeros_deg=zeros_deg).groups("scheme")
+        parts = []
         for column, label, factor in (("place_m", "place, mm", 1e3), ("turn_deg", "turn, °", 1.0)):
-            if solvers:
-                least = float(f"{min(one.median(column).value for one in solvers):.3g}")
-                parts.append(lab.below(label, runs.median(column), least, factor))
-        if parts:
-            yield lab.ours("solvers", *parts, zeros=size_deg)
-    runs = found.runs.where(motion_s=MOTION_S)
-    inside = sum(row["inside"] for row in runs)
-    yield lab.ours("honest", lab.kept("runs", inside, len(runs), 0.9))
-
-
-_COLUMNS = ("place_m", "place_m:all", "turn_deg", "turn_deg:all", "zero_deg:all", "inside:of")
-
-
-def _full(runs: Results) -> Results:
-    """All that had the whole motion, and the solvers."""
-    some = runs.those(lambda row: "zeros_deg" in row)
-    return some.those(lambda row: row.get("motion_s", MOTION_S) == MOTION_S)
+            medians = [
+                one.median(column).value for name, one in others.items() if name not in MOTION
+            ]
+            parts.append(lab.below(label, runs.median(column), min(medians), factor))
+        yield lab.ours("solvers", *parts, zeros=zeros_deg)
+    yield lab.ours("honest", lab.kept("runs", motion.values("inside"), 0.9))
 
 
 TABLES = (
     lab.TableOf(
-        "motion",
-        ("scheme", "motion_s", "zeros_deg"),
-        _COLUMNS,
-        rows=lambda runs: runs.those(lambda row: "motion_s" in row),
+        "schemes",
+        ("scheme",),
+        ("place_m:half", "place_m:most", "turn_deg:half", "turn_deg:most", "inside:of"),
+        across="zeros_deg",
     ),
-    lab.TableOf("solvers", ("scheme", "zeros_deg"), _COLUMNS[:4], rows=_full),
-    lab.TableOf("elsewhere", ("scheme",), (*_COLUMNS[:4], "inside:of"), {"part": "elsewhere"}),
 )
 
 
-def overlay() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """An image, the arm of the URDF drawn through a calibration, px, and its errors, px."""
-    simulation = simulation_of(conditions(Ball.name))
-    asked = CollectorConfig(duration_s=MOTION_S, seed=1)
-    found = calibrate(collect(simulation, asked), arm())
-    simulation.reset(HOME_RAD)
-    simulation.full_frames = True
-    frame = simulation.look().frame
-    simulation.full_frames = False
-    assert frame is not None
-    camera = simulation.camera
-    exact = replace(
-        found, rotation=camera.rotation, translation_m=camera.position_m, focal=1.0,
-        zeros_rad=np.zeros(len(HOME_RAD)),
-    )  # fmt: skip
-    seen, true = (arm_px(one, HOME_RAD, simulation.intrinsics) for one in (found, exact))
-    return frame.rgb, seen, np.linalg.norm(seen - true, axis=1)
-
-
 def figures(found: lab.Found) -> Iterator[lab.Drawn]:
-    """The arm of the URDF over the camera's image."""
-    seen_px = found.facts["seen_px"]
-    figure, ((axis,),) = draw.grid(1, 1, (8.0, 6.0))
-    axis.imshow(found.facts["rgb"])
-    axis.plot(seen_px[:, 0], seen_px[:, 1], "o-", color="#00c853", linewidth=2.0, markersize=5)
-    axis.set(xticks=[], yticks=[])
-    axis.grid(visible=False)
-    yield "overlay", figure, {}
+    """Errors of place and turn, a dot per seed."""
+    figure, axes = draw.grid(2, 2, (12.0, 7.0), sharey="row")
+    for row, runs in zip(axes, found.runs.groups("zeros_deg").values(), strict=True):
+        for axis, column in zip(row, ("place_m", "turn_deg"), strict=True):
+            draw.dots_of(axis, runs, "scheme", column)
+            axis.set_xscale("log")
+    yield "errors", figure, {}
 
 
 EXPERIMENT = lab.Experiment("calibration", measure, claims, TABLES, figures, globals())

@@ -17,15 +17,17 @@ from typing import Any, TypeVar
 
 from fvs_lab.figures import save
 from fvs_lab.outcome import Outcome
-from fvs_lab.report import Figure, Report, Table, Verdict, Words
+from fvs_lab.report import Words
 from fvs_lab.results import Interval, Results, table
-from fvs_lab.trials import Case, Conditions, Trial, Variant, run_trial
+from fvs_lab.trials import Conditions, Trial, run_trial
 from fvs_ros.kinds.ball import Ball
 
 PAPER, OURS = "the paper's", "ours"
+_WORDS = {True: "holds", False: "does not hold", None: "undecided"}
 
-#: Longest trial of a quick run to a target that stands, and after one that moves, s.
-_QUICK_S, _QUICK_PATH_S = 1.0, 2.0
+#: Of a quick run: the longest trial, s, and conditions that compute faster.
+_QUICK_S = 0.5
+_QUICK: Mapping[str, Any] = {"rendered": False, "physics_rate_hz": 125.0}
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -46,10 +48,6 @@ class Context:
     jobs: int = 1
     #: Whether to run a small part of everything, as a smoke test.
     quick: bool = False
-    #: Whether ball positions come from rendered images.
-    rendered: bool = True
-    #: Whether spot checks through the real nodes are made.
-    nodes: bool = True
     #: Schemes that run in random worlds; empty for all.
     schemes: tuple[str, ...] = ()
 
@@ -59,15 +57,13 @@ class Context:
         path.mkdir(parents=True, exist_ok=True)
         return path
 
-    def count(self, default: int, quick: int) -> int:
-        """Number of seeded cases."""
-        if self.seeds is not None:
-            return self.seeds
-        return quick if self.quick else default
+    def count(self, default: int) -> int:
+        """Number of seeded cases; a quick run has one."""
+        return self.seeds or (1 if self.quick else default)
 
     def conditions(self, **changes: Any) -> Conditions:
         """The laboratory's standard conditions, with changes."""
-        return replace(Conditions(rendered=self.rendered), **changes)
+        return Conditions(**{**changes, **(_QUICK if self.quick else {})})
 
     def map(self, function: Callable[[T], R], items: Iterable[T], label: str) -> list[R]:
         """Apply a function to all items, on all cores, with a progress bar.
@@ -90,7 +86,9 @@ class Context:
         if self.quick:
             trials = [
                 replace(
-                    one, duration_s=min(one.duration_s, _QUICK_PATH_S if one.path else _QUICK_S)
+                    one,
+                    duration_s=min(one.duration_s, _QUICK_S),
+                    conditions=replace(one.conditions, **_QUICK),
                 )
                 for one in trials
             ]
@@ -98,34 +96,15 @@ class Context:
 
     def run(
         self,
-        runs: Iterable[tuple[Variant, Case]],
+        trials: Iterable[Trial],
         label: str,
-        measure: Callable[[Outcome], Mapping[str, Any]] | None = None,
-        **fields: Any,
+        measure: Callable[[Outcome], Mapping[str, Any]] = lambda _: {},
     ) -> Results:
-        """Run variants on cases.
-
-        ``measure`` gives further columns of a run; fields are those of all trials, such as
-        ``duration_s`` and ``record``.
-        """
-        conditions = self.conditions()
-        trials = [
-            ({**one.labels, "case": case.name}, one.trial(case, conditions, **fields))
-            for one, case in runs
-        ]
-        return self.score(trials, label, measure)
-
-    def score(
-        self,
-        runs: Sequence[tuple[Mapping[str, Any], Trial]],
-        label: str,
-        measure: Callable[[Outcome], Mapping[str, Any]] | None = None,
-    ) -> Results:
-        """Run trials, each with the columns that tell it from the others; see :meth:`run`."""
-        outcomes = self.outcomes([trial for _, trial in runs], label)
+        """Run trials: a row each, with further columns by ``measure``."""
+        trials = list(trials)
         return Results(
-            outcome.row(**columns) | dict(measure(outcome) if measure else {})
-            for outcome, (columns, _) in zip(outcomes, runs, strict=True)
+            outcome.row(**one.labels) | dict(measure(outcome))
+            for one, outcome in zip(trials, self.outcomes(trials, label), strict=True)
         )
 
 
@@ -148,7 +127,7 @@ class Part:
 
 def below(label: str, one: Interval, bound: float, factor: float = 1.0, unit: str = "") -> Part:
     """A number whose whole interval must be below a bound."""
-    text = f"{one.text(2, factor)}{unit}, asked: below {factor * bound:g}{unit}"
+    text = f"{one.text(2, factor)}{unit}, asked: below {factor * bound:.3g}{unit}"
     return Part(label, text, one.below(bound), one.high / bound)
 
 
@@ -161,23 +140,15 @@ def above(label: str, one: Interval, bound: float) -> Part:
 def share_above(label: str, one: Interval, bound: float) -> Part:
     """A share whose whole Wilson interval must be above a bound."""
     hits = round(one.value * one.count)
-    low, high = (f"{100 * end:.1f}" for end in (one.low, one.high))
-    text = f"{hits} of {one.count} (95 % interval {low} to {high} %), asked: {100 * bound:g} %"
+    text = f"{hits} of {one.count}, {one.text(1, 1e2)} %, asked: {100 * bound:g} %"
     return Part(label, text, one.above(bound), bound / max(one.low, 1e-12))
 
 
-def kept(label: str, hits: int, count: int, least: float) -> Part:
+def kept(label: str, hits: Sequence[bool], least: float) -> Part:
     """A plain share (no interval) that must reach ``least``; undecided without runs."""
-    share = hits / count if count else 0.0
-    text = f"{hits} of {count} ({100 * share:.1f} %), asked: {100 * least:.0f} %"
-    return Part(label, text, share >= least if count else None)
-
-
-def either(label: str, *parts: Part) -> Part:
-    """Combine parts of which at least one must hold."""
-    claim = Claim("", OURS, parts, any_of=True)
-    best = claim.decisive
-    return Part(f"{label}, {best.label}", best.measured, best.holds, best.margin)
+    share = sum(hits) / len(hits) if hits else 0.0
+    text = f"{sum(hits)} of {len(hits)}, asked: {100 * least:.0f} %"
+    return Part(label, text, share >= least if hits else None)
 
 
 @dataclass(frozen=True)
@@ -247,19 +218,12 @@ class TableOf:
     columns: Sequence[str]
     #: Rows of the tidy table with these values.
     where: Mapping[str, Any] = field(default_factory=dict)
-    #: A table for each value of this column, which is the macro's argument.
-    each: str = ""
-    #: What makes the tidy table's rows into the table's.
-    rows: Callable[[Results], Results] = field(default=lambda runs: runs)
+    #: A column whose values stand side by side.
+    across: str = ""
 
-    def of(self, runs: Results, words: Words) -> Iterable[Table]:
-        """The tables; none without rows."""
-        some = self.rows(runs.where(**self.where))
-        for value, ones in some.groups(self.each).items() if self.each else [("", some)]:
-            rows = table(ones, self.by, self.columns)
-            if rows:
-                caption = words(f"table_{self.name}", {self.each: value} if self.each else {})
-                yield Table(caption, list(rows[0]), [list(row.values()) for row in rows])
+    def of(self, runs: Results) -> list[dict[str, str]]:
+        """The table's rows of these runs."""
+        return table(runs.where(**self.where), self.by, self.columns, self.across)
 
 
 #: A figure by the name of its macro, with the macro's arguments.
@@ -283,56 +247,40 @@ class Experiment:
     #: The shipped model that it uses; empty for none.
     model: str = Ball.model
 
-    def run(self, context: Context) -> Report:
-        """Measure, judge, tabulate and draw."""
+    def run(self, context: Context) -> dict[str, Any]:
+        """Measure, judge, tabulate and draw: a report for :func:`fvs_lab.report.write_report`."""
         found = self.measure(context)
         words = Words(self.template or self.name, {**self.names, **found.facts})
-        claims = [claim for claim in self.claims(found) if claim.parts]
-        setup = re.split(r"\n\s*\n", words("setup", lines=True))
-        return Report(
-            name=self.name,
-            title=words("title"),
-            question=words("question"),
-            setup=[" ".join(paragraph.split()) for paragraph in setup],
-            figures=[self._figure(context, words, *one) for one in self.figures(found)],
-            tables=[
-                *(each for one in self.tables for each in one.of(found.runs, words)),
-                *_evidence(words, claims),
-            ],
-            verdicts=[
-                Verdict(
-                    words(f"claim_{claim.name}", claim.given),
-                    f"{claim.decisive.label}: {claim.decisive.measured}",
-                    claim.holds,
-                    claim.whose,
-                )
-                for claim in claims
-            ],
-            data={
-                **found.data,
-                "runs": [
-                    {name: value for name, value in row.items() if name != "series"}
-                    for row in found.runs
-                ],
-            },
-        )
-
-    def _figure(
-        self, context: Context, words: Words, name: str, drawing: Any, given: Mapping[str, Any]
-    ) -> Figure:
-        file = re.sub(r"\W+", "_", "_".join([name, *map(str, given.values())])) + ".png"
-        save(drawing, context.folder(self.name) / file)
-        return Figure(file, words(f"figure_{name}", given))
-
-
-def _evidence(words: Words, claims: Sequence[Claim]) -> list[Table]:
-    """All parts of the claims that depend on more than one number."""
-    word = {True: "yes", False: "no", None: "undecided"}
-    rows = [
-        [words(f"claim_{claim.name}", claim.given), part.label, part.measured, word[part.holds]]
-        for claim in claims
-        if len(claim.parts) > 1
-        for part in claim.parts
-    ]
-    header = ["claim", "number", "measured", "so"]
-    return [Table("What the claims with several numbers stand on.", header, rows)] if rows else []
+        figures = []
+        for name, drawing, given in self.figures(found):
+            file = re.sub(r"\W+", "_", "_".join([name, *map(str, given.values())])) + ".png"
+            save(drawing, context.folder(self.name) / file)
+            figures.append({"file": file, "caption": words(f"figure_{name}", **given)})
+        tables = [
+            {"caption": words(f"table_{one.name}"), "rows": one.of(found.runs)}
+            for one in self.tables
+        ]
+        verdicts = [
+            {
+                "claim": words(f"claim_{claim.name}", **claim.given),
+                "finding": f"{claim.decisive.label}: {claim.decisive.measured}",
+                "word": _WORDS[claim.holds],
+                "whose": claim.whose,
+                "parts": claim.parts,
+            }
+            for claim in self.claims(found)
+            if claim.parts
+        ]
+        runs = [
+            {name: value for name, value in row.items() if name != "series"} for row in found.runs
+        ]
+        return {
+            "name": self.name,
+            "title": words("title"),
+            "question": words("question"),
+            "setup": words.paragraphs("setup"),
+            "figures": figures,
+            "tables": [table for table in tables if table["rows"]],
+            "verdicts": verdicts,
+            "data": {**found.data, "runs": runs},
+        }

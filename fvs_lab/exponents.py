@@ -16,9 +16,9 @@ import numpy as np
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.outcome import Outcome
-from fvs_lab.results import METRICS, Results, number_text
+from fvs_lab.results import Results, label_of, number_text
 from fvs_lab.search import FREE
-from fvs_lab.trials import Variant, make_cases
+from fvs_lab.trials import Conditions, Variant, make_cases
 
 EXPONENTS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9)
 
@@ -36,8 +36,11 @@ WORLDS: dict[str, dict[str, Any]] = {
     "no noise": {"rendered": False, "position_noise_m": 0.0},
     "1 mm noise": {"position_noise_m": 0.001},
 }
-SILENT, NOISY = WORLDS
 IMPLICIT, LITERAL = "implicit", "as printed"
+#: Form of the law and world.
+PRINTED_SILENT, PRINTED_NOISY = (f"{LITERAL}, {world}" for world in WORLDS)
+SILENT, NOISY = (f"{IMPLICIT}, {world}" for world in WORLDS)
+DURATION_S = 4.0
 ADAPTIVE = "0.1 → 0.5"
 ADAPTIVE_SCALED = f"0.375 → 0.9, faster (α2, α3 × {SCALE:g})"
 #: The law as printed with the reaching gains of the implicit form.
@@ -48,93 +51,76 @@ _PERIOD_S = 0.008
 
 def variants() -> list[Variant]:
     """All that is run; with noise fewer exponents as printed, to save time."""
-    implicit = {**FREE, "damping": 1e-6, **SURFACE, **REACHING}
-    literal = {**implicit, **LITERAL_REACHING, "discretisation": "literal"}
+    implicit: dict[str, Any] = {**FREE, "damping": 1e-6, **SURFACE, **REACHING}
+    literal: dict[str, Any] = {**implicit, **LITERAL_REACHING, "discretisation": "literal"}
     faster = {name: SCALE * SURFACE[name] for name in ("alpha2", "alpha3")}
     found = []
-    for world, conditions in WORLDS.items():
-        values = {}
-        for form, gains in ((LITERAL, literal), (IMPLICIT, implicit)):
-            for one in EXPONENTS[::2] if (world, form) == (NOISY, LITERAL) else EXPONENTS:
-                values[form, f"{one:g}"] = {**gains, "lambda1": one, "lambda2": 0.0}
-            values[form, ADAPTIVE] = {**gains, **SMALL_TO_HALF}
-        values[IMPLICIT, ADAPTIVE_SCALED] = {**implicit, **LARGE, **faster}
-        if world == SILENT:
-            values[LITERAL, UNSTABLE] = {**values[IMPLICIT, "0.5"], "discretisation": "literal"}
-        for (form, exponent), gains in values.items():
-            labels = {"world": world, "law": form, "exponent": exponent}
-            found.append(Variant(labels, controller_values=gains, conditions=conditions))
+    for (world, conditions), (form, gains) in product(
+        WORLDS.items(), ((LITERAL, literal), (IMPLICIT, implicit))
+    ):
+        name = f"{form}, {world}"
+        values = {
+            f"{one:g}": {**gains, "lambda1": one, "lambda2": 0.0}
+            for one in (EXPONENTS[::2] if name == PRINTED_NOISY else EXPONENTS)
+        }
+        values[ADAPTIVE] = {**gains, **SMALL_TO_HALF}
+        if form == IMPLICIT:
+            values[ADAPTIVE_SCALED] = {**gains, **LARGE, **faster}
+        elif name == PRINTED_SILENT:
+            values[UNSTABLE] = {**values["0.5"], **REACHING}
+        found += [
+            Variant({"form": name, "exponent": one}, controller_values=each, conditions=conditions)
+            for one, each in values.items()
+        ]
     return found
-
-
-def literal_limits() -> dict[str, float]:
-    """Largest k4 and k1 with which the law as printed is stable far from the goal.
-
-    ``k4 < 2 a2 dt / (2 a1 + a2 dt)`` and ``k1 < 2 a2 / (a1 + a2 dt / 2)``, with the surface above
-    and the time dt from command to command.
-    """
-    a1, a2 = SURFACE["alpha1"], SURFACE["alpha2"]
-    k4 = 2.0 * a2 * _PERIOD_S / (2.0 * a1 + a2 * _PERIOD_S)
-    return {"k4_limit": k4, "k1_limit": 2.0 * a2 / (a1 + 0.5 * a2 * _PERIOD_S)}
 
 
 def _pace(outcome: Outcome) -> dict[str, float]:
     """Settling time over the time that the way takes at the run's own top joint speed."""
-    if not np.isfinite(outcome.settled_s):
-        return {"pace": float("inf")}
-    moving = outcome.series["time_s"] <= outcome.settled_s
+    moving = outcome.series["time_s"] <= outcome.to_5mm_s
     speeds = np.abs(outcome.series["command_rad_s"][moving])
     travel_rad = float(speeds.sum(axis=0).max()) * _PERIOD_S
-    return {"pace": outcome.settled_s * float(speeds.max()) / travel_rad}
+    return {"pace": outcome.to_5mm_s * float(speeds.max()) / travel_rad}
 
 
 def measure(context: lab.Context) -> lab.Found:
     """Run both forms of the law with all exponents, with and without noise."""
-    duration_s = 1.6 if context.quick else 4.0
-    cases = make_cases("e", context.count(6, 1), 301)
-    runs = context.run(
-        product(variants(), cases), "exponents", _pace, duration_s=duration_s, record=True
-    )
-    facts = {
-        "count": len(cases),
-        "duration_s": duration_s,
-        **literal_limits(),
-    }
-    return lab.Found(runs, facts, {"cases": cases, "variants": variants()})
+    cases = make_cases("e", context.count(6), 301)
+    trials = [
+        variant.trial(case, Conditions(), duration_s=DURATION_S, record=True)
+        for variant, case in product(variants(), cases)
+    ]
+    runs = context.run(trials, "exponents", _pace)
+    return lab.Found(runs, {"count": len(cases)}, {"cases": cases})
 
 
 def claims(found: lab.Found) -> Iterator[lab.Claim]:
     """The paper's claims on the exponent, and ours."""
-
-    def runs(world: str, law: str, exponent: str) -> Results:
-        return found.runs.where(world=world, law=law, exponent=exponent)
-
-    stable = runs(SILENT, LITERAL, UNSTABLE)
-    part = lab.kept("runs within 5 mm", sum(stable.values("settled")), len(stable), 0.95)
-    yield lab.papers("printed", part)
+    runs = found.runs.groups("form", "exponent")
+    stable = runs[PRINTED_SILENT, UNSTABLE]
+    yield lab.papers("printed", lab.kept("runs within 5 mm", stable.values("settled"), 0.95))
     for name, metric in (("faster", "to_5mm_s"), ("pace", "pace")):
-        chosen = [runs(SILENT, IMPLICIT, f"{one:g}").median(metric).value for one in EXPONENTS]
+        medians = [runs[SILENT, f"{one:g}"].median(metric).value for one in EXPONENTS]
         text = ", ".join(
             f"{number_text(one, 2)} at {exponent:g}"
-            for one, exponent in zip(chosen, EXPONENTS, strict=True)
+            for one, exponent in zip(medians, EXPONENTS, strict=True)
         )
-        rising = all(after >= before for before, after in pairwise(chosen))
-        yield lab.papers(name, lab.Part(METRICS[metric].label, text, rising))
+        rising = all(after >= before for before, after in pairwise(medians))
+        yield lab.papers(name, lab.Part(label_of(metric), text, rising))
     jitter, time = "jitter_rad_s", "to_5mm_s"
-    printed, silent, noisy = (SILENT, LITERAL), (SILENT, IMPLICIT), (NOISY, IMPLICIT)
-    chatter = runs(*printed, "0.1").over(runs(*printed, "0.5"), jitter)
+    chatter = runs[PRINTED_SILENT, "0.1"].over(runs[PRINTED_SILENT, "0.5"], jitter)
     yield lab.papers("chatter", lab.above("jitter as printed, 0.1 over 0.5", chatter, 2.0))
-    quick = runs(*silent, ADAPTIVE).over(runs(*silent, "0.1"), time)
+    quick = runs[SILENT, ADAPTIVE].over(runs[SILENT, "0.1"], time)
     calm = [
         lab.below(
-            f"jitter over that of 0.5, {law}, {world}",
-            runs(world, law, ADAPTIVE).over(runs(world, law, "0.5"), jitter),
+            f"jitter over that of 0.5, {form}",
+            runs[form, ADAPTIVE].over(runs[form, "0.5"], jitter),
             2.0,
         )
-        for world, law in (printed, noisy)
+        for form in (PRINTED_SILENT, NOISY)
     ]
     yield lab.papers("adaptive", lab.below("settling time over that of 0.1", quick, 1.2), *calm)
-    ours, paper = runs(*noisy, ADAPTIVE_SCALED), runs(*noisy, ADAPTIVE)
+    ours, paper = runs[NOISY, ADAPTIVE_SCALED], runs[NOISY, ADAPTIVE]
     calmer, slower = paper.over(ours, jitter), ours.over(paper, time)
     yield lab.ours(
         "large",
@@ -143,38 +129,33 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
     )
 
 
-_COLUMNS = (
-    "to_5mm_s",
-    "to_2mm_s",
-    "to_1mm_s",
-    "final_rms_m",
-    "jitter_rad_s",
-    "peak_joint_speed_rad_s",
-    "pace",
-    "path_ratio",
-    "limited_share",
+TABLES = (
+    lab.TableOf(
+        "exponents",
+        ("exponent",),
+        ("to_5mm_s:half", "jitter_rad_s:half"),
+        across="form",
+    ),
 )
-TABLES = (lab.TableOf("world", ("law", "exponent"), _COLUMNS, each="world"),)
 
 
 def figures(found: lab.Found) -> Iterator[lab.Drawn]:
     """Figures 2 and 3 of the paper, a panel each."""
-    case = found.runs.rows[0]["case"]
-    places = found.runs.where(case=case).groups("world", "law")
-    yield "exponents", _errors(places), {}
-    yield "adaptive", _adaptive(places), {}
+    forms = found.runs.where(case=found.runs.rows[0]["case"]).groups("form")
+    yield "exponents", _errors(forms), {}
+    yield "adaptive", _adaptive(forms), {}
 
 
-def _errors(places: Mapping[Any, Results]):
+def _errors(forms: Mapping[str, Results]):
     """One run with each fixed exponent, a panel per form and world; figure 2."""
     looks = {
         f"{exponent:g}": {"color": colour, "linewidth": 1.3}
         for exponent, colour in zip(EXPONENTS, draw.shades(len(EXPONENTS)), strict=True)
     }
     figure, axes = draw.grid(2, 2, (11, 7), sharex=True, sharey=True)
-    for axis, ((world, law), runs) in zip(axes.flat, places.items(), strict=True):
+    for axis, (form, runs) in zip(axes.flat, forms.items(), strict=True):
         draw.errors_over_time(axis, runs, "exponent", looks)
-        axis.set(title=f"{law}, {world}", xlabel="time, s", ylabel="distance to the goal, mm")
+        axis.set(title=form, xlabel="time, s", ylabel="distance to the goal, mm")
         axis.label_outer()
     draw.legend(figure, len(EXPONENTS))
     return figure
@@ -186,28 +167,29 @@ def _fastest_joint(row: Mapping[str, Any]) -> np.ndarray:
 
 
 _ADAPTIVE_SIGNALS: tuple[draw.Signal, ...] = (
+    draw.ERROR,
     ("fastest joint's command, rad/s", _fastest_joint),
     ("adaptive exponent γ of x, y and z", lambda row: row["series"]["exponent"]),
 )
 
 
-def _adaptive(places: Mapping[Any, Results]):
+def _adaptive(forms: Mapping[str, Results]):
     """One run with the adaptive exponent and two fixed ones; figure 3."""
-    looks = {"0.1": {"color": "#D55E00"}, "0.5": {"color": "#009E73"}}
-    own = {ADAPTIVE: {"color": "#0072B2"}}
+    looks: dict[str, dict[str, Any]] = {
+        "0.1": {"color": "#D55E00"},
+        "0.5": {"color": "#009E73"},
+        ADAPTIVE: {"color": "#0072B2"},
+    }
     each = {ADAPTIVE: {"label": ["x", "y", "z"]}}
-    chosen = ((SILENT, LITERAL), (SILENT, IMPLICIT), (NOISY, IMPLICIT))
     figure, axes = draw.grid(3, 3, (12, 8), sharex=True, sharey="row")
-    command, exponent = _ADAPTIVE_SIGNALS
-    for column, place in zip(axes.T, chosen, strict=True):
-        draw.errors_over_time(column[0], places[place], "exponent", looks | own)
-        draw.over_time(column[1], places[place], command, "exponent", looks | own)
-        draw.over_time(column[2], places[place], exponent, "exponent", each)
-        column[0].set_title(", ".join(reversed(place)))
-        column[2].set(xlabel="time, s", xlim=(0.0, 2.5), ylim=(0.0, 0.6))
-    names = ("distance to the goal, mm", command[0], exponent[0])
-    for axis, name in zip(axes[:, 0], names, strict=True):
-        axis.set_ylabel(name)
+    for column, form in zip(axes.T, (PRINTED_SILENT, SILENT, NOISY), strict=True):
+        for axis, signal in zip(column, _ADAPTIVE_SIGNALS, strict=True):
+            last = signal is _ADAPTIVE_SIGNALS[-1]
+            draw.over_time(axis, forms[form], signal, "exponent", each if last else looks)
+            axis.set(xlabel="time, s", ylabel=signal[0], xlim=(0.0, 2.5))
+            axis.label_outer()
+        column[0].set(title=form, yscale="log", ylim=(0.05, 600.0))
+        column[2].set_ylim(0.0, 0.6)
     draw.legend(figure)
     return figure
 

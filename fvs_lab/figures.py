@@ -139,12 +139,10 @@ def errors_over_time(
 # ---- by category ----------------------------------------------------------------------------
 
 
-def dots_of(
-    axis: Axes, runs: Results, by: str, metric: str, most: float = np.inf, named: bool = True
-) -> None:
+def dots_of(axis: Axes, runs: Results, by: str, metric: str, most: float = np.inf) -> None:
     """Draw a row of dots per value of a column, with a bar at their median; from above.
 
-    What is larger than ``most`` stands there; ``named`` writes the values beside the axis.
+    What is larger than ``most`` stands there.
     """
     one, groups = METRICS[metric], runs.groups(by)
     names = [number_text(value) for value in groups]
@@ -155,16 +153,7 @@ def dots_of(
             look: dict[str, Any] = {"color": colour_of(name)}
             axis.plot(shown, np.full(shown.size, place), "o", alpha=0.45, markersize=4, **look)
             axis.plot(2 * [np.median(shown)], [place - 0.32, place + 0.32], linewidth=2.5, **look)
-    if named:
-        axis.set_yticks(range(len(names)), names)
-        axis.set_ylim(len(names) - 0.5, -0.5)
+    axis.set_yticks(range(len(names)), names)
+    axis.set_ylim(len(names) - 0.5, -0.5)
     axis.set_xlabel(one.label)
-
-
-def shares(axis: Axes, groups: Mapping[float, Results], shift: float, **look: Any) -> None:
-    """Draw percent of the runs that settled, with Wilson's interval, at each group's number."""
-    found = [runs.share() for runs in groups.values()]
-    point, low, high = 100.0 * np.array([[one.value, one.low, one.high] for one in found]).T
-    places = np.array(list(groups)) + shift
-    shown: dict[str, Any] = {"marker": "o", "markersize": 4, "elinewidth": 0.8} | look
-    axis.errorbar(places, point, (point - low, high - point), **shown)
+    axis.label_outer()

@@ -15,18 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from fvs_lab.outcome import BOUNDS_M, seconds
 from fvs_lab.trials import Case, Conditions, simulation_of
 from fvs_ros.chain import SerialChain
-from fvs_sim_node.simulation import Simulation
-from fvs_tools.score import settling_time_s
 
 #: Pieces of constant acceleration during braking, and checks of the ball in each: twice as many of
 #: either change the time by less than a millisecond.
-_PIECES, _LOOKS = 8, 4
-#: Margin to the tolerance of a motion that is played, m: the fastest motion touches the tolerance
-#: again while it brakes, and commands that hold for 8 ms follow it only this accurately.
-SPARE_M = 0.0002
+PIECES, _LOOKS = 4, 8
 
 
 @dataclass(frozen=True)
@@ -66,7 +60,6 @@ class Limits:
 class Fastest:
     """The motion that has the ball near the target soonest."""
 
-    limits: Limits
     #: From rest until the ball is near the target for good, s.
     time_s: float
     #: Of the joints at that time, shape (joints,).
@@ -76,30 +69,6 @@ class Fastest:
     #: (pieces, joints).
     braking_rad_s2: np.ndarray
     piece_s: float
-
-    def speeds_rad_s(self, times_s: np.ndarray) -> np.ndarray:
-        """Speeds of the joints at times, shape (n, joints), rad/s."""
-        steep, top, end = self.limits.acceleration_rad_s2, self.limits.speed_rad_s, self.speed_rad_s
-        so_far = np.clip(times_s, 0.0, self.time_s)[:, None]
-        ramp, left = steep * so_far, steep * (self.time_s - so_far)
-        # A mean of the quickest motions either way is within the limits as they are.
-        up, down = np.minimum(np.minimum(ramp, top), end + left), end - left
-        down = np.maximum(np.maximum(-ramp, -top), down)
-        furthest = self.limits.furthest(end, self.time_s)[0]
-        least = -self.limits.furthest(-end, self.time_s)[0]
-        share = (self.travel_rad - least) / (furthest - least)
-        # How much of each piece of braking is over.
-        over = (times_s[:, None] - self.time_s) / self.piece_s - np.arange(_PIECES)
-        braked = self.piece_s * np.clip(over, 0.0, 1.0) @ self.braking_rad_s2
-        return share * up + (1.0 - share) * down + braked
-
-    def commands_rad_s(self, period_s: float) -> np.ndarray:
-        """The motion and some rest as commands that hold for a period, shape (n, joints), rad/s."""
-        whole_s = self.time_s + _PIECES * self.piece_s + 0.2  # for the drives to come to rest, too
-        count = int(np.ceil(whole_s / period_s))
-        # A command may jump to what the limit allows after one period, so half a period is gained.
-        moments = period_s * (0.5 + (np.arange(count * 20) + 0.5) / 20)
-        return self.speeds_rad_s(moments).reshape(count, 20, -1).mean(axis=1)
 
 
 @dataclass(frozen=True)
@@ -139,8 +108,8 @@ def fastest(
     rest_s = limits.rest_s(float(np.abs(travel).max()))
     steep, top = limits.acceleration_rad_s2, limits.speed_rad_s
     # More time than a joint needs to brake from the speed limit gains nothing.
-    piece_s = min(top / steep, 0.5 * rest_s) / _PIECES
-    fastest_rad_s = _PIECES * piece_s * steep
+    piece_s = min(top / steep, 0.5 * rest_s) / PIECES
+    fastest_rad_s = PIECES * piece_s * steep
     joints = len(travel)
     unit, travels, speeds, pieces, paths = _unknowns(joints, piece_s)
     rest = speeds + piece_s * pieces.sum(axis=0)
@@ -160,7 +129,7 @@ def fastest(
 
     found = minimize(
         lambda unknown: unknown[0],
-        np.concatenate([[rest_s], travel, np.zeros((1 + _PIECES) * joints)]),
+        np.concatenate([[rest_s], travel, np.zeros((1 + PIECES) * joints)]),
         jac=lambda _: unit[0],
         constraints=(
             near,
@@ -168,19 +137,18 @@ def fastest(
             {"type": "eq", "fun": lambda unknown: rest @ unknown, "jac": lambda _: rest},
         ),
         # No less time than it takes to reach the largest speed.
-        bounds=[(_PIECES * piece_s, rest_s)]
+        bounds=[(PIECES * piece_s, rest_s)]
         + joints * [(None, None)]
         + joints * [(-fastest_rad_s, fastest_rad_s)]
-        + _PIECES * joints * [(-steep, steep)],
+        + PIECES * joints * [(-steep, steep)],
         method="SLSQP",
         options={"maxiter": 2000, "ftol": 1e-7},
     ).x
     if near["fun"](found).min() < -0.02:  # outside by a hundredth of the tolerance
         raise RuntimeError(f"no fastest motion found for case {case.name}")
     end = speeds @ found
-    return Fastest(
-        limits, limits.least_s(travels @ found, end), travels @ found, end, pieces @ found, piece_s
-    )
+    least_s = limits.least_s(travels @ found, end)
+    return Fastest(least_s, travels @ found, end, pieces @ found, piece_s)
 
 
 def _near(
@@ -207,53 +175,12 @@ def _unknowns(joints: int, piece_s: float) -> tuple[np.ndarray, ...]:
     The unknowns are time, travels, speeds, and accelerations joint by joint within each piece; the
     last matrix gives the joints' travel at each look while they brake.
     """
-    unit = np.eye(1 + (2 + _PIECES) * joints)
+    unit = np.eye(1 + (2 + PIECES) * joints)
     travels, speeds = unit[1 : 1 + joints], unit[1 + joints : 1 + 2 * joints]
-    pieces = unit[1 + 2 * joints :].reshape(_PIECES, joints, -1)
-    looks = np.arange(_PIECES * _LOOKS + 1)[:, None] / _LOOKS
-    begun = np.maximum(looks - np.arange(_PIECES), 0.0)
+    pieces = unit[1 + 2 * joints :].reshape(PIECES, joints, -1)
+    looks = np.arange(PIECES * _LOOKS + 1)[:, None] / _LOOKS
+    begun = np.maximum(looks - np.arange(PIECES), 0.0)
     done = np.minimum(begun, 1.0)
     moved = piece_s**2 * done * (begun - 0.5 * done)
     paths = travels + np.multiply.outer(piece_s * looks[:, 0], speeds)
     return unit, travels, speeds, pieces, paths + np.tensordot(moved, pieces, 1)
-
-
-def play_s(
-    simulation: Simulation, case: Case, commands_rad_s: np.ndarray, tolerance_m: float
-) -> float:
-    """Settling time of commands, shape (n, joints), played blindly on simulated drives, s.
-
-    As for all schemes, the first command answers the first joint state after the target was given;
-    the last one holds.
-    """
-    target_m = ur5().position(np.array(case.goal_rad))
-    simulation.reset(case.start_rad, case.seed)
-    times_s, errors_m = [], []
-    for command in commands_rad_s:
-        state = simulation.advance()
-        simulation.command(command)
-        times_s.append(state.time_s)
-        errors_m.append(np.linalg.norm(ur5().position(state.joints_rad) - target_m))
-    return seconds(settling_time_s(np.array(times_s), np.array(errors_m), tolerance_m))
-
-
-@dataclass(frozen=True)
-class Floor:
-    """Least settling times of a case by the error bound: ``5 mm``, ``2 mm``, ``1 mm``."""
-
-    #: Least time within the joints' limits, s.
-    least_s: dict[str, float]
-    #: Settling time of a motion next to the fastest, played blindly on the simulated drives, s.
-    clairvoyant_s: dict[str, float]
-
-
-def floor_of(case: Case, limits: Limits) -> Floor:
-    """Compute the least settling times of a case, and play the motions."""
-    simulation = simulation_of(Conditions(rendered=False))
-    period_s = 1.0 / simulation.config.joint_state_rate_hz
-    least_s, clairvoyant_s = {}, {}
-    for name, bound_m in BOUNDS_M.items():
-        least_s[name] = fastest(case, limits, bound_m).time_s
-        commands = fastest(case, limits, bound_m - SPARE_M).commands_rad_s(period_s)
-        clairvoyant_s[name] = play_s(simulation, case, commands, bound_m)
-    return Floor(least_s, clairvoyant_s)

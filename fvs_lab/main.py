@@ -12,9 +12,9 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from fvs_lab.report import EXPERIMENTS, LONG, Origin, write_page, write_report
+from fvs_lab.report import EXPERIMENTS, LONG, write_page, write_report
 from fvs_ros import console
 from fvs_ros.arguments import Parser, how_to_install, one_of
 from fvs_ros.paths import version
@@ -55,18 +55,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--quick", action="store_true", help="run a small part of everything, as a smoke test"
-    )
-    parser.add_argument(
-        "--camera",
-        choices=("rendered", "exact"),
-        help="ball positions from rendered images, or the true ones with the same noise, which is "
-        f"faster (default: rendered; exact for {' and '.join(LONG)})",
-    )
-    parser.add_argument(
-        "--no-nodes",
-        dest="nodes",
-        action="store_false",
-        help="leave out the spot check through the real nodes",
     )
     alone = parser.add_argument_group(
         "everyday, tags and robustness",
@@ -110,8 +98,6 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser.parse_args(given)
     if arguments.name not in LONG and (arguments.trial or arguments.scheme):
         parser.error(f"--trial and --scheme are for {' and '.join(LONG)}")
-    # Random worlds need no images: without them all settle alike, at a third of the cost.
-    arguments.camera = arguments.camera or ("exact" if arguments.name in LONG else "rendered")
     if arguments.name == "replay":
         parser.error("replay comes first: fvs_experiments replay BAG")
     if _lacks("fvs_experiments", _NEEDS, "ros,sim,lab"):
@@ -140,8 +126,6 @@ def _run(arguments: argparse.Namespace) -> int:
         seeds=arguments.seeds,
         jobs=arguments.jobs,
         quick=arguments.quick,
-        rendered=arguments.camera == "rendered",
-        nodes=arguments.nodes,
         schemes=tuple(arguments.scheme),
     )
     try:
@@ -169,32 +153,32 @@ def _measure(context: Context, arguments: argparse.Namespace) -> int:
     names = most if arguments.name == "all" else [arguments.name]
     began_s = time.monotonic()
     for number, name in enumerate(names, start=1):
-        folder = context.folder(name)
         print(f"== {name} ({number} of {len(names)})", flush=True)
         experiment = experiment_called(name)
         report = experiment.run(context)
-        write_report(report, folder, _origin(arguments, experiment.model))
-        for verdict in report.verdicts:
-            print(f"   {verdict.word} ({verdict.whose}): {verdict.claim}", flush=True)
-            print(f"      {verdict.finding}", flush=True)
-        page = write_page(context.out, EXPERIMENTS)
+        origin = _origin(arguments, experiment.model)
+        write_report({"origin": origin, **report}, context.folder(name))
+        for verdict in report["verdicts"]:
+            print(f"   {verdict['word']} ({verdict['whose']}): {verdict['claim']}", flush=True)
+            print(f"      {verdict['finding']}", flush=True)
+        page = write_page(context.out)
     print(f"page: {page} ({(time.monotonic() - began_s) / 60.0:.1f} min)", flush=True)
     return EXIT_OK
 
 
-def _origin(arguments: argparse.Namespace, model: str) -> Origin:
+def _origin(arguments: argparse.Namespace, model: str) -> dict[str, Any]:
+    """Where results come from: command, version, model with its SHA-256's first digits."""
     from fvs_ros.paths import find_file
 
     command = ["fvs_experiments", arguments.name]
     command += [f"--seeds {arguments.seeds}"] if arguments.seeds else []
     command += [f"--scheme {json.dumps(name)}" for name in arguments.scheme]
     command += ["--quick"] if arguments.quick else []
-    command += [f"--camera {arguments.camera}"]
-    command += [] if arguments.nodes else ["--no-nodes"]
     if model:
         digest = hashlib.sha256(find_file(model).read_bytes()).hexdigest()
         model = f"{Path(model).name} {digest[:12]}"
-    return Origin(" ".join(command), version(), model, arguments.quick)
+    quick = arguments.quick
+    return {"command": " ".join(command), "version": version(), "model": model, "quick": quick}
 
 
 if __name__ == "__main__":

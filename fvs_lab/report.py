@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -34,130 +34,63 @@ EXPERIMENTS = {
 }
 #: Those that are run by their own name only: they take longer than all others together.
 LONG = ("everyday", "tags", "robustness")
-_WORDS = {True: "holds", False: "does not hold", None: "undecided"}
 
 
 class Words:
     """The sentences of an experiment, from its template with the facts as variables."""
 
     def __init__(self, name: str, facts: Mapping[str, Any]) -> None:
-        environment = _jinja(autoescape=False)  # the page escapes
-        source = environment.from_string(_template_text(f"{name}.jinja"))
-        self._macros = source.make_module(dict(facts))
+        self._macros = _template(f"{name}.jinja").make_module(dict(facts))
 
-    def __call__(
-        self, macro: str, given: Mapping[str, Any] | None = None, lines: bool = False
-    ) -> str:
-        """The text of a macro, as one line unless its lines are asked for."""
-        text = getattr(self._macros, macro)(**(given or {})).strip()
-        return text if lines else " ".join(text.split())
+    def __call__(self, macro: str, **given: Any) -> str:
+        """The text of a macro as one line."""
+        return " ".join(getattr(self._macros, macro)(**given).split())
 
-
-def _template_text(name: str) -> str:
-    """A template of this package."""
-    return files("fvs_lab").joinpath(name).read_text("utf-8")
+    def paragraphs(self, macro: str) -> list[str]:
+        """The text of a macro, a line for each paragraph."""
+        text = getattr(self._macros, macro)().strip()
+        return [" ".join(one.split()) for one in re.split(r"\n\s*\n", text)]
 
 
-def _jinja(**options: Any):
-    """Jinja's environment, in which a block's own line leaves none."""
+def _template(name: str, escape: bool = False):
+    """A template of this package; a block's own line leaves none."""
     from jinja2 import Environment, StrictUndefined
 
-    return Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, **options)
+    environment = Environment(
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=escape,
+    )
+    return environment.from_string(files("fvs_lab").joinpath(name).read_text("utf-8"))
 
 
-@dataclass(frozen=True)
-class Figure:
-    """A picture: a PNG in the experiment's folder, and what is to be seen."""
+def write_report(report: Mapping[str, Any], folder: Path) -> None:
+    """Write ``results.json`` into the experiment's folder.
 
-    file: str
-    caption: str
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of text under a header."""
-
-    caption: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    Not finite numbers become null, others are rounded to seven digits.
+    """
+    text = json.dumps(_plain(report), separators=(",", ":"), allow_nan=False)
+    (folder / RESULTS).write_text(text + "\n", encoding="utf-8")
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """A claim, the number that decides, whether it holds (None: undecided), and whose it is."""
-
-    claim: str
-    finding: str
-    holds: bool | None
-    whose: str = ""
-
-    @property
-    def word(self) -> str:
-        """The verdict in a word or two."""
-        return _WORDS[self.holds]
-
-
-@dataclass(frozen=True)
-class Report:
-    """Everything that an experiment found: words, pictures, and in ``data`` every number."""
-
-    name: str
-    title: str
-    question: str
-    setup: Sequence[str]
-    figures: Sequence[Figure] = ()
-    tables: Sequence[Table] = ()
-    verdicts: Sequence[Verdict] = ()
-    data: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Provenance of the results."""
-
-    command: str
-    #: Of this package; empty where it is not installed.
-    version: str
-    #: The trained model's file name and the first digits of its SHA-256.
-    model: str
-    quick: bool
-
-
-def write_report(report: Report, folder: Path, origin: Origin) -> Path:
-    """Write ``results.json`` into the experiment's folder, and return its path."""
-    path = folder / RESULTS
-    content = {"origin": _plain(origin), **_plain(report)}
-    text = json.dumps(content, indent=None, separators=(",", ":"), allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
-    return path
-
-
-def write_page(out: Path, names: Iterable[str]) -> Path:
+def write_page(out: Path) -> Path:
     """Write ``index.html`` from all results in a folder, pictures included; return its path.
 
-    The names are those of the experiments' folders, in the order of the page. The Markdown beside
-    it has the same words and tables, and links to the pictures.
+    The Markdown beside it has the same words and tables, and links to the pictures.
     """
     reports = []
-    for name in names:
-        path = out / name / RESULTS
+    for path in (out / name / RESULTS for name in EXPERIMENTS):
         if path.is_file():
             report = json.loads(path.read_text(encoding="utf-8"))
-            del report["data"]
-            # The name that Markdown viewers give to a heading.
-            report["slug"] = re.sub(r"[^\w\- ]", "", report["title"].lower()).replace(" ", "-")
-            for verdict in report["verdicts"]:
-                verdict["word"] = _WORDS[verdict["holds"]]
             for figure in report["figures"]:
                 png = (path.parent / figure["file"]).read_bytes()
                 figure["data"] = base64.b64encode(png).decode("ascii")
             reports.append(report)
-    # Markdown has nothing to escape, HTML has.
-    for template, escape in (("page.html.jinja", True), ("page.md.jinja", False)):
-        environment = _jinja(autoescape=escape, keep_trailing_newline=True)
-        page = environment.from_string(_template_text(template))
-        text = page.render(reports=reports)
-        (out / template.replace("page", "index").removesuffix(".jinja")).write_text(text, "utf-8")
+    for name, escape in (("html", True), ("md", False)):  # Markdown has nothing to escape
+        text = _template(f"page.{name}.jinja", escape).render(reports=reports)
+        (out / f"index.{name}").write_text(text, encoding="utf-8")
     return out / "index.html"
 
 

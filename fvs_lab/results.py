@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,6 @@ import numpy as np
 _RESAMPLES, _LEVEL = 2000, 0.95
 #: With fewer runs not even the whole range of the data is a 95 % interval of their median.
 DECISIVE = 6
-#: A list in a table names this many at most.
-_NAMED = 8
 
 # ---- statistics -----------------------------------------------------------------------------
 
@@ -29,9 +28,9 @@ class Interval:
     count: int = DECISIVE
 
     def text(self, digits: int = 2, factor: float = 1.0) -> str:
-        """``0.62 (0.58 to 0.71)``, in another unit by a factor."""
+        """``0.62 [0.58, 0.71]``, in another unit by a factor."""
         ends = (number_text(factor * one, digits) for one in (self.value, self.low, self.high))
-        return "{} ({} to {})".format(*ends)
+        return "{} [{}, {}]".format(*ends)
 
     def above(self, bound: float) -> bool | None:
         """Whether it is above a bound: all of the interval, none of it, or undecided (None)."""
@@ -142,15 +141,6 @@ class Results:
         """Median of a column with its interval."""
         return median(self.values(name), self._searches())
 
-    def rms(self, name: str, over: str = "") -> Interval:
-        """Root of the mean square of a column, with its interval; or over that of another one."""
-        data = np.square(self.values(name))
-        below = np.square(self.values(over)) if over else np.ones_like(data)
-        return _bootstrapped(
-            lambda chosen: np.sqrt(data[chosen].mean(axis=-1) / below[chosen].mean(axis=-1)),
-            data.size,
-        )
-
     def over(self, other: Results, name: str) -> Interval:
         """Ratio of the medians of a column, paired by case.
 
@@ -186,59 +176,38 @@ class Metric:
 METRICS = {
     "to_5mm_s": Metric("to 5 mm, s"),
     "to_2mm_s": Metric("to 2 mm, s"),
-    "to_1mm_s": Metric("to 1 mm, s"),
+    "over_5mm": Metric("to 5 mm over floor"),
+    "over_undisturbed": Metric("over undisturbed"),
     "final_rms_m": Metric("final error, mm rms", 1e3),
     "jitter_rad_s": Metric("jitter, mrad/s", 1e3),
     "peak_joint_speed_rad_s": Metric("peak joint speed, rad/s"),
-    "path_ratio": Metric("path / distance"),
-    "limited_share": Metric("limited, %", 1e2, 0),
     "jacobian_error": Metric("Jacobian error, %", 1e2, 1),
+    "learned": Metric("Jacobian error, %", 1e2, 3),
     "pace": Metric("own pace"),
-    # pose
     "rest_m": Metric("final way, mm", 1e3),
     "rest_deg": Metric("final turn, °", 1.0, 3),
-    "bound_m": Metric("bound, mm", 1e3),
-    "bound_deg": Metric("bound, °", 1.0, 3),
-    "corner_px": Metric("corners, px", 1.0, 3),
-    "over_undisturbed": Metric("over undisturbed"),
     # calibration
     "place_m": Metric("place, mm", 1e3),
     "turn_deg": Metric("turn, °", 1.0, 3),
-    "zero_deg": Metric("zero, °", 1.0, 3),
     # settling
-    "bound_s": Metric("bound to 0, s"),
-    "band_5mm_s": Metric("bound to 5 mm, s"),
-    "predicted_5mm_s": Metric("theory's motion to 5 mm, s"),
-    "printed_s": Metric("formula as printed, s"),
+    "bound_s": Metric("corrected bound, s"),
+    "printed_s": Metric("printed bound, s"),
+    "within": Metric("within the corrected"),
+    "printed_kept": Metric("within the printed"),
     # estimators
     "t1_m": Metric("T1, mm", 1e3, 3),
-    "t1_share": Metric("T1, % of motion", 1e2, 1),
-    "t1_first_m": Metric("T1 in the first second, mm", 1e3),
-    "t2_m": Metric("T2, mm", 1e3, 1),
-    "t2_final_m": Metric("T2 at the end, mm", 1e3, 1),
-    "t2_max_m": Metric("T2 at most, mm", 1e3, 1),
-    # rests
-    "error_before": Metric("Jacobian error before, %", 1e2, 1),
-    "error_after": Metric("after, %", 1e2, 1),
+    "t1_late_m": Metric("T1, second half, mm", 1e3, 3),
+    "t2_max_m": Metric("largest T2, mm", 1e3, 1),
     # beyond
     "fit_s": Metric("fit and distillation, s of one core", 1.0, 1),
     "chain_box": Metric("chain, box M, %", 1e2, 3),
     "chain_workspace": Metric("chain, workspace, %", 1e2, 3),
     "distilled_box": Metric("distilled networks, box M, %", 1e2),
-    "learned": Metric("error of the Jacobian, %", 1e2, 3),
-    "late_error_s": Metric("error of the stamp delay, ms", 1e3),
+    "late_error_s": Metric("stamp delay, ms", 1e3),
     "stated": Metric("stated by the fit, %", 1e2, 3),
-    "seen": Metric("actual, as the camera sees, %", 1e2, 3),
+    "seen": Metric("as the camera sees, %", 1e2, 3),
     "honesty": Metric("stated over actual error"),
-    "over_5mm": Metric("to 5 mm over floor"),
-    "over_2mm": Metric("to 2 mm over floor"),
-    "over_1mm": Metric("to 1 mm over floor"),
-    "over_clairvoyant": Metric("over clairvoyant"),
-    "later_s": Metric("later by, ms", 1e3, 0),
-    "rms_sigma": Metric("final rms, σ"),
-    "slowdown": Metric("over undisturbed"),
     "rms_m": Metric("distance from the target, mm rms", 1e3),
-    "speed_m_s": Metric("speed of the target, m/s"),
 }
 
 
@@ -256,18 +225,6 @@ def number_text(value: Any, digits: int | None = None) -> str:
     return f"{value:g}" if digits is None else f"{value:.{digits}f}"
 
 
-def span(values: Sequence[float], factor: float = 1.0, digits: int = 2) -> str:
-    """Least and largest value."""
-    low, high = (number_text(factor * end, digits) for end in (min(values), max(values)))
-    return f"{low} to {high}"
-
-
-def _searched(runs: Results, name: str, one: Metric) -> str:
-    """Least and largest median, search by search."""
-    some = runs.those(lambda row: "search" in row).groups("search").values()
-    return span([each.median(name).value for each in some], one.factor) if len(some) > 1 else ""
-
-
 def _quantile(part: float) -> Callable[[Results, str, Metric], str]:
     """A run itself: nothing lies between a time and never."""
     return lambda runs, name, one: number_text(
@@ -275,46 +232,48 @@ def _quantile(part: float) -> Callable[[Results, str, Metric], str]:
     )
 
 
-def _listed(runs: Results, name: str, _: Metric) -> str:
-    some = [number_text(one) for one in runs.values(name)]
-    return ", ".join(some[:_NAMED]) + (", ..." if len(some) > _NAMED else "")
+def _causes(runs: Results, name: str, _: Metric) -> str:
+    counted = Counter(filter(None, runs.values(name))).most_common()
+    return "; ".join(f"{count} {cause}" for cause, count in counted)
 
 
 #: Ways to sum up a column: the words after its label, and what the cell says.
 _SUMMARIES: Mapping[str, tuple[str, Callable[[Results, str, Metric], str]]] = {
     "median": ("", lambda runs, name, one: runs.median(name).text(one.digits, one.factor)),
-    "of": ("", lambda runs, name, _: f"{sum(map(bool, runs.values(name)))} of {len(runs)}"),
-    "share": ("", lambda runs, name, _: f"{runs.share(name).text(1, 1e2)} %"),
-    "count": ("", lambda runs, name, _: str(len(runs))),
-    "list": ("", _listed),
-    "causes": (
+    "half": (
         "",
-        lambda runs, name, _: "; ".join(
-            f"{count} {cause}" for cause, count in Counter(runs.values(name)).most_common() if cause
-        ),
+        lambda runs, name, one: number_text(one.factor * runs.median(name).value, one.digits),
     ),
-    "range": (", range", lambda runs, name, one: span(runs.values(name), one.factor, one.digits)),
-    "searches": (", searches", _searched),
-    "half": (", half", _quantile(0.5)),
     "90 %": (", 90 %", _quantile(0.9)),
-    "all": (", all", _quantile(1.0)),
+    "least": (", least", _quantile(0.0)),
+    "most": (", largest", _quantile(1.0)),
+    "of": ("", lambda runs, name, _: f"{sum(map(bool, runs.values(name)))} of {len(runs)}"),
+    "causes": ("", _causes),
 }
 
 
-def table(runs: Results, by: Sequence[str], columns: Sequence[str]) -> list[dict[str, str]]:
+def table(
+    runs: Results, by: Sequence[str], columns: Sequence[str], across: str = ""
+) -> list[dict[str, str]]:
     """A row per group of runs with the same values in some columns.
 
     Columns are summed up by their median with its interval, or by what stands after a colon, as in
-    ``settled:of`` and ``failure:causes``. A cell is ``-`` where no run has the column.
+    ``jitter_rad_s:half`` (the median alone) and ``settled:of``. With ``across``, each is summed up
+    once for each value of that column, side by side. A cell is ``-`` where there is nothing.
     """
     rows = []
+    values = [*runs.groups(across)] if across else [None]
     for key, some in runs.groups(*by).items():
         names = key if len(by) > 1 else (key,)
         row = {label_of(name): number_text(one) for name, one in zip(by, names, strict=True)}
-        for column in columns:
+        for value, column in product(values, columns):
             name, _, how = column.partition(":")
             words, text = _SUMMARIES[how or "median"]
+            header = label_of(name) + words
+            if value is not None:
+                header = f"{value}: {header}" if len(columns) > 1 else str(value)
+            ones = some.where(**{across: value}) if across else some
             metric = METRICS.get(name, Metric(name))
-            row[label_of(name) + words] = text(some, name, metric) if some.values(name) else "-"
+            row[header] = text(ones, name, metric) if ones.values(name) else "-"
         rows.append(row)
     return rows

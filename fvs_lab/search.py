@@ -110,6 +110,7 @@ ORACLES = {
     name: Scheme(name, "oracle", law, "")
     for name, law in ((ORACLE_SLIDING, "ftsm"), (ORACLE, "proportional"))
 }
+
 # ---- a search -------------------------------------------------------------------------------
 
 
@@ -120,8 +121,7 @@ class Candidate:
     gains: dict[str, float]
     #: Mean settling time as :meth:`Search.judge` counts it, s.
     time_s: float
-    #: Medians over the cases; the settling time is to 5 mm, infinite for never.
-    settled_s: float
+    #: Medians over the cases.
     jitter_rad_s: float
     peak_joint_speed_rad_s: float
 
@@ -130,34 +130,31 @@ class Candidate:
 class Search:
     """The search for the gains of one scheme in one regime."""
 
-    variant: Variant
-    free: tuple[Gain, ...]
+    scheme: Scheme
     regime: Regime
 
-    @classmethod
-    def of(cls, scheme: Scheme, regime: Regime) -> Search:
-        """The search for the gains of a scheme in a regime."""
-        free = (*_LAW_GAINS[scheme.law], *_METHOD_GAINS.get(scheme.method, ()))
-        return cls(Variant.of(scheme, **regime.controller_values), free, regime)
+    @property
+    def free(self) -> tuple[Gain, ...]:
+        """The gains that the search may turn."""
+        return (*_LAW_GAINS[self.scheme.law], *_METHOD_GAINS.get(self.scheme.method, ()))
 
     def gains(self, places: Sequence[float]) -> dict[str, float]:
         """Values of the free gains at places from 0 to 1 of their ranges."""
         return {gain.name: gain.value(place) for gain, place in zip(self.free, places, strict=True)}
 
-    def trial(self, gains: Mapping[str, float], case: Case, conditions: Conditions) -> Trial:
-        """The trial of a case with such gains; those that are left out keep their defaults."""
+    def variant(self, gains: Mapping[str, float]) -> Variant:
+        """The scheme in this regime with such gains."""
         turned: tuple[dict[str, float], dict[str, float]] = ({}, {})
         for one in self.free:
-            if one.name in gains:
-                turned[one.of_estimator][one.name] = gains[one.name]
-        variant = replace(
-            self.variant,
-            controller_values={**self.variant.controller_values, **turned[False]},
-            estimator_values={**self.variant.estimator_values, **turned[True]},
-        )
+            turned[one.of_estimator][one.name] = gains[one.name]
+        variant = Variant.of(self.scheme, **self.regime.controller_values, **turned[False])
+        return replace(variant, estimator_values={**variant.estimator_values, **turned[True]})
+
+    def trial(self, gains: Mapping[str, float], case: Case) -> Trial:
+        """A trial of the search."""
         terms = self.regime
-        return variant.trial(
-            case, conditions, duration_s=terms.duration_s, stop_after_s=terms.rest_s
+        return self.variant(gains).trial(
+            case, TUNING, duration_s=terms.duration_s, stop_after_s=terms.rest_s
         )
 
     def judge(self, gains: dict[str, float], outcomes: Sequence[Outcome]) -> Candidate:
@@ -169,10 +166,9 @@ class Search:
         times_s, duration_s = [], self.regime.duration_s
         for one in outcomes:
             left = min(1.0, one.final_rms_m / one.start_distance_m)
-            coarse_s = duration_s * (1.0 + left) if one.failure else one.settled_s
-            fine_s = one.settling_s["2 mm"]
-            times_s.append(0.9 * coarse_s + 0.1 * (duration_s if fine_s is None else fine_s))
-        names = ("settled_s", "jitter_rad_s", "peak_joint_speed_rad_s")
+            coarse_s = duration_s * (1.0 + left) if one.failure else one.to_5mm_s
+            times_s.append(0.9 * coarse_s + 0.1 * min(duration_s, one.to_2mm_s))
+        names = ("jitter_rad_s", "peak_joint_speed_rad_s")
         middle = [float(np.median([getattr(one, name) for one in outcomes])) for name in names]
         return Candidate(gains, sum(times_s) / len(times_s), *middle)
 
@@ -200,27 +196,24 @@ class Tuned:
         """The candidate of least cost."""
         return min([*self.tried, *self.others], key=self.search.cost)
 
-    def trial(self, case: Case, conditions: Conditions, duration_s: float, **changes) -> Trial:
-        """A scoring trial with the best gains; changes are fields of the trial."""
-        trial = self.search.trial(self.best.gains, case, conditions)
-        return replace(trial, duration_s=duration_s, stop_after_s=None, **changes)
+    @property
+    def variant(self) -> Variant:
+        """The scheme with the best gains."""
+        return self.search.variant(self.best.gains)
 
     def summary(self) -> dict[str, Any]:
-        """The stored record: regime and ranges, the best gains, and all candidates."""
+        """The stored record: scheme, regime and ranges, the best gains, and all candidates."""
         return {
+            "scheme": self.search.scheme.name,
             "regime": self.search.regime,
-            "knobs": self.search.free,
-            "fixed": self.search.variant.controller_values,
+            "free": self.search.free,
             "best": self.best,
             "tried": self.tried,
         }
 
 
 def search_all(
-    context: Context,
-    searches: Mapping[Key, Search],
-    cases: Sequence[Case],
-    seed: int,
+    context: Context, searches: Mapping[Key, Search], cases: Sequence[Case], seed: int
 ) -> dict[Key, list[Tuned]]:
     """Search each of them several times with the same budget; a quick run does one small search.
 
@@ -247,7 +240,7 @@ def search_all(
             for one, candidates in zip(found, asked, strict=True)
         ]
         trials = [
-            one.search.trial(values, case, TUNING)
+            one.search.trial(values, case)
             for one, candidates in zip(found, gains, strict=True)
             for values in candidates
             for case in cases

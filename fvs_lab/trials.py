@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
-from itertools import islice
+from itertools import islice, product
 from typing import Any
 
-import cv2
 import numpy as np
 
 from fvs_controller_node.supervisor import Command
 from fvs_detector_node.tags import Tag
-from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, seconds
+from fvs_estimator_node.base import Estimator
+from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of
 from fvs_ros.kinds.ball import Ball
+from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.track import Track
 from fvs_ros.vectors import length
 from fvs_sim_node.camera import CAMERAS, CameraPose
@@ -22,7 +23,6 @@ from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.simulation import SimConfig, Simulation
 from fvs_tools.closed_loop import ClosedLoop, make_estimator
 from fvs_tools.schemes import Scheme
-from fvs_tools.score import settling_time_s
 
 #: Middle and half widths of the box that starts and goals are drawn from, rad.
 HOME_RAD = np.array(HOME_JOINTS_RAD)
@@ -100,20 +100,19 @@ class Conditions:
         )
 
 
-def _carried_camera(turn_rad: np.ndarray, distance_m: float = 0.0) -> CameraPose:
+def _carried_camera(turn_rad: np.ndarray, distance_m: float) -> CameraPose:
     """The front camera, carried round the scene by a rotation vector in its own frame, rad.
 
     The Jacobian turns with it. The ball stays in view; a rotation by 30 degrees on the spot would
     lose it. With a distance it is also carried so far from the scene's middle, m.
     """
     camera = CAMERAS["front"]
+    away_m = camera.position_m - _SCENE_M
     if distance_m:
-        away_m = camera.position_m - _SCENE_M
         away_m *= distance_m / np.linalg.norm(away_m)
-        camera = CameraPose(_SCENE_M + away_m, camera.rotation)
-    local = cv2.Rodrigues(np.asarray(turn_rad, dtype=float).reshape(3, 1))[0]
+    local = rotation_from_vector(turn_rad)
     turn = camera.rotation @ local @ camera.rotation.T
-    return CameraPose(_SCENE_M + turn @ (camera.position_m - _SCENE_M), camera.rotation @ local)
+    return CameraPose(_SCENE_M + turn @ away_m, camera.rotation @ local)
 
 
 def simulation_of(conditions: Conditions) -> Simulation:
@@ -205,6 +204,8 @@ class Variant:
     predicts: bool = True
     #: Fields of the conditions that differ from the experiment's.
     conditions: Mapping[str, Any] = field(default_factory=dict)
+    #: Makes an estimator that no registry has.
+    estimator: Callable[[Simulation, Case], Estimator] | None = None
 
     @classmethod
     def of(cls, scheme: Scheme, **controller_values: Any) -> Variant:
@@ -216,6 +217,10 @@ class Variant:
             scheme.estimator_values,
             {**scheme.controller_values, **controller_values},
         )
+
+    def labelled(self, **labels: Any) -> Variant:
+        """The same with further labels."""
+        return replace(self, labels={**self.labels, **labels})
 
     def trial(self, case: Case, conditions: Conditions, **fields: Any) -> Trial:
         """A trial of it; fields are further ones of the trial."""
@@ -239,14 +244,21 @@ class Trial:
     bump: Bump | None = None
     #: What happens before the target is given.
     before: Callable[[ClosedLoop], None] | None = None
-    #: For a moving target: its position, camera frame, m, as a function of the path length, m, and
-    #: its speed, m/s.
-    path: tuple[Callable[[float], np.ndarray], float] | None = None
+    #: For a moving target: its position, camera frame, m, at a time, s.
+    path: Callable[[float], np.ndarray] | None = None
+
+    @property
+    def labels(self) -> dict[str, Any]:
+        """Columns of the tidy table that tell it from the others."""
+        return {**self.variant.labels, "case": self.case.name}
 
     def loop(self, simulation: Simulation) -> ClosedLoop:
         """The whole loop in a simulation that has been reset."""
         who = self.variant
-        estimator = make_estimator(who.method, simulation, who.estimator_values)
+        if who.estimator is None:
+            estimator = make_estimator(who.method, simulation, who.estimator_values)
+        else:
+            estimator = who.estimator(simulation, self.case)
         one = ClosedLoop(simulation, estimator, {"law": who.law, **who.controller_values})
         if not who.predicts:
             one.loop.track = LastImage(one.kind)
@@ -259,9 +271,26 @@ def sees(simulation: Simulation) -> bool:
     return all(seen is not None and seen.visible_fraction >= 0.9 for seen in looks)
 
 
-def sees_all(simulation: Simulation, places: Iterable[Joints | np.ndarray]) -> bool:
-    """Whether the camera sees it at all of these joints, rad, (n,) each."""
-    for joints in places:
+def photo(simulation: Simulation) -> np.ndarray:
+    """What the camera sees now, uint8, (H, W, 3)."""
+    simulation.full_frames = True
+    frame = simulation.look().frame
+    simulation.full_frames = False
+    assert frame is not None
+    return frame.rgb
+
+
+def sees_all(
+    conditions: Conditions, places: Iterable[Joints | np.ndarray], bump: Bump | None = None
+) -> bool:
+    """Whether the camera sees it at all of these joints, rad, (n,) each, also after a bump."""
+    simulation = simulation_of(conditions)
+    cameras = [simulation.camera]
+    if bump is not None:
+        bump.strike(simulation)
+        cameras.append(simulation.camera)
+    for camera, joints in product(cameras, places):
+        simulation.camera = camera
         simulation.reset(joints)
         if not sees(simulation):
             return False
@@ -331,7 +360,6 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
     times_s: list[float] = []
     balls_m: list[np.ndarray] = []
     errors_m: list[float] = []
-    targets_m: list[np.ndarray] = []
     commands: list[Command] = []
     jacobian_errors: list[float] = []
     below_since_s = np.inf
@@ -340,23 +368,22 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
             trial.bump.strike(simulation)
             target_m = give_target(one, goal_m)
         if trial.path is not None:
-            (path, speed_m_s), now_s = trial.path, tick * one.period_s
+            now_s = tick * one.period_s
             if now_s >= next_s:
-                one.set_target(path(speed_m_s * now_s))
+                one.set_target(trial.path(now_s))
                 next_s += 1.0 / TARGET_RATE_HZ
-            target_m = path(speed_m_s * (now_s + one.period_s))
+            target_m = trial.path(now_s + one.period_s)
         commands.append(one.tick())
         times_s.append(simulation.time_s - start_s)
         balls_m.append(one.true_feature)
         errors_m.append(length(one.kind.minus(balls_m[-1], target_m)))
-        targets_m.append(target_m)
         if tick % JACOBIAN_EVERY == 0:
             jacobian_errors.append(jacobian_error(one))
-        near = errors_m[-1] < BOUNDS_M["5 mm"]
+        near = errors_m[-1] < BOUNDS_M["5mm"]
         below_since_s = min(below_since_s, times_s[-1]) if near else np.inf
         if trial.stop_after_s is not None and times_s[-1] - below_since_s >= trial.stop_after_s:
             break
-    series = np.array(times_s), np.array(balls_m), np.array(errors_m), np.array(targets_m)
+    series = np.array(times_s), np.array(balls_m), np.array(errors_m), target_m
     return outcome_of(*series, commands, np.array(jacobian_errors), trial.record)
 
 
@@ -372,17 +399,6 @@ def give_target(one: ClosedLoop, goal_m: np.ndarray) -> np.ndarray:
     place_m, directions = camera.to_camera(goal_m[:3]), goal_m[3:].reshape(-1, 3) @ camera.rotation
     one.set_target(np.append(one.simulation.as_seen(place_m), directions))
     return np.append(place_m, directions)
-
-
-def settling_run(one: ClosedLoop, target_m: np.ndarray, duration_s: float) -> float:
-    """Give a target, camera frame, m, and let time pass; the settling time to 5 mm, s."""
-    one.set_target(target_m)
-    errors_m = []
-    for _ in range(round(duration_s / one.period_s)):
-        one.tick()
-        errors_m.append(np.linalg.norm(one.simulation.true_ball_position() - target_m))
-    times_s = one.period_s * np.arange(1, len(errors_m) + 1)
-    return seconds(settling_time_s(times_s, np.array(errors_m), BOUNDS_M["5 mm"]))
 
 
 def jacobian_error(one: ClosedLoop) -> float:

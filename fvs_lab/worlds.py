@@ -3,24 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import hypot
 from typing import Any
 
 import numpy as np
 
-from fvs_lab.results import number_text
-from fvs_lab.trials import (
-    WHITE,
-    Bump,
-    Case,
-    Conditions,
-    Vector,
-    along,
-    make_cases,
-    sees,
-    simulation_of,
-)
+from fvs_lab.trials import WHITE, Bump, Case, Conditions, along, make_cases, sees_all
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
 
@@ -100,69 +89,22 @@ class World:
     #: Of the trial, from 1.
     number: int
     case: Case
-    #: From start to target, m.
-    distance_m: float
     conditions: Conditions
     bump: Bump | None
 
-    def row(self) -> dict[str, float]:
-        """Columns of the tidy table: what there is of each quantity, SI units and degrees."""
-        found = {one.name: getattr(self.conditions, one.name) for one in DRAWN}
-        return {
-            "world": self.number,
-            "distance_m": self.distance_m,
-            "turn_deg": hypot(*self.conditions.camera_turn_deg),
-            "bump_deg": 0.0 if self.bump is None else hypot(*self.bump.rotation_deg),
-            **found,
-        }
-
     def text(self) -> str:
         """A one-line description."""
-        row, bump = self.row(), self.bump
+        usual, bump = Conditions(), self.bump
         parts = [
-            f"{one.label} {number_text(one.scale * row[one.name], 2)}{one.unit}"
-            for one in QUANTITIES
-            if bump is not None or one.name != "bump_deg"
+            f"{one.name} {getattr(self.conditions, one.name):.3g}"
+            for one in fields(Conditions)
+            if isinstance(getattr(usual, one.name), float)
         ]
+        parts.append(f"camera turned by {hypot(*self.conditions.camera_turn_deg):.1f}°")
         if bump is not None:
-            shift_mm = 1e3 * hypot(*bump.translation_m)
-            parts.append(f"camera shifted {shift_mm:.0f} mm at {bump.time_s:.1f} s")
+            turn_deg, shift_mm = hypot(*bump.rotation_deg), 1e3 * hypot(*bump.translation_m)
+            parts.append(f"bumped by {turn_deg:.1f}° and {shift_mm:.0f} mm at {bump.time_s:.1f} s")
         return f"{', '.join(parts)}; noise seed {self.case.seed}"
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """Something that differs from world to world."""
-
-    #: Its column.
-    name: str
-    #: For readers; the unit begins with a space where there is one.
-    label: str
-    unit: str = ""
-    #: From the column's unit to that unit.
-    scale: float = 1.0
-
-
-#: Those that are fields of the conditions, drawn from a kind's ranges.
-DRAWN = (
-    Quantity("position_noise_m", "noise of positions", " mm", 1e3),
-    Quantity("noise_exponent", "exponent of the noise"),
-    Quantity("image_rate_hz", "image rate", " Hz"),
-    Quantity("latency_s", "latency", " ms", 1e3),
-    Quantity("dropout", "images lost", " %", 1e2),
-    Quantity("focal_error", "error of the focal length", " %", 1e2),
-    Quantity("depth_error", "error of the depths", " %", 1e2),
-    Quantity("encoder_noise_rad", "encoder noise", " mrad", 1e3),
-    Quantity("joint_lag_s", "further drive lag", " ms", 1e3),
-    Quantity("dead_time_s", "dead time of the drives", " ms", 1e3),
-    Quantity("drive_gain", "speed over the commanded one"),
-)
-QUANTITIES = (
-    Quantity("distance_m", "distance", " m"),
-    Quantity("turn_deg", "camera carried round", "°"),
-    Quantity("bump_deg", "camera bumped in mid-run", "°"),
-    *DRAWN,
-)
 
 
 def draw_world(kind: Kind, number: int) -> World:
@@ -174,37 +116,18 @@ def draw_world(kind: Kind, number: int) -> World:
     rng = np.random.default_rng([kind.seed, number])
     amount = {name: float(rng.uniform(*range_)) for name, range_ in kind.ranges.items()}
     bumped, heavy = rng.random() < kind.bumped_share, rng.random() < kind.heavy_share
-    changes: dict[str, Any] = {one.name: amount[one.name] for one in DRAWN}
-    drawn = Conditions(kind.feature, **changes)
+    names = {one.name for one in fields(Conditions)}
+    changes: dict[str, Any] = {name: one for name, one in amount.items() if name in names}
     if not heavy:
-        drawn = replace(drawn, noise_exponent=WHITE)
+        changes["noise_exponent"] = WHITE
     while True:
         seed = int(rng.integers(2**31))
         case = make_cases(f"R{number}-", 1, seed, *DISTANCE_M, Conditions(kind.feature))[0]
-        names = ("camera_turn_deg", "bump_turn_deg", "bump_shift_m")
-        turn_deg, *blow = (along(rng.normal(size=3), amount[name]) for name in names)
+        vectors = ("camera_turn_deg", "bump_turn_deg", "bump_shift_m")
+        turn_deg, *blow = (along(rng.normal(size=3), amount[name]) for name in vectors)
         bump = Bump(amount["bump_time_s"], *blow) if bumped else None
-        distance_m = _visible_distance_m(case, turn_deg, bump, kind.feature)
-        if distance_m is not None:
-            conditions = replace(drawn, camera_turn_deg=turn_deg)
-            return World(number, case, distance_m, conditions, bump)
-
-
-def _visible_distance_m(
-    case: Case, turn_deg: Vector, bump: Bump | None, feature: str
-) -> float | None:
-    """Distance from start to target, m; None if ball or tag cannot be seen at either of them."""
-    simulation = simulation_of(Conditions(feature, camera_turn_deg=turn_deg))
-    cameras = [simulation.camera]
-    if bump is not None:
-        bump.strike(simulation)
-        cameras.append(simulation.camera)
-    ends = []
-    for joints in (case.start_rad, case.goal_rad):
-        for camera in cameras:
-            simulation.camera = camera
-            simulation.reset(np.array(joints))  # or the detector refuses the jump
-            if not sees(simulation):
-                return None
-        ends.append(simulation.world.ball_position())
-    return float(np.linalg.norm(ends[1] - ends[0]))
+        seen = Conditions(kind.feature, camera_turn_deg=turn_deg)
+        if sees_all(seen, (case.start_rad, case.goal_rad), bump):
+            # Images would change little, and take three times as long.
+            changes |= {"camera_turn_deg": turn_deg, "rendered": False}
+            return World(number, case, replace(seen, **changes), bump)

@@ -1,4 +1,4 @@
-"""What the laboratory stands on: statistics, claims, tables, searches, reports, spot checks."""
+"""What the laboratory stands on: statistics, claims, tables, reports."""
 
 import json
 import re
@@ -9,11 +9,9 @@ from cases import each
 from scipy.stats import bootstrap
 
 from fvs_lab import main
-from fvs_lab.experiment import OURS, PAPER, Claim, Part, either
-from fvs_lab.report import RESULTS, Figure, Origin, Report, Table, Verdict, write_page, write_report
-from fvs_lab.results import Interval, median, ratio_of_medians
-from fvs_lab.spot_check import SpotCheck
-from fvs_lab.spot_check import claims as spot_check_claims
+from fvs_lab.experiment import OURS, PAPER, Claim, Part
+from fvs_lab.report import RESULTS, write_page, write_report
+from fvs_lab.results import Interval, Results, median, ratio_of_medians, table
 from fvs_lab.trials import Case
 
 INF = float("inf")
@@ -87,7 +85,19 @@ def test_a_claim_of_several_parts_names_the_one_that_decides(parts, all_of, any_
     assert (every.decisive.holds, one.decisive.holds) == (all_of, any_of)
     if parts == [True, True]:
         assert (every.decisive, one.decisive) == (some[1], some[0])  # the tighter, the clearer
-    assert either("", *some).holds is any_of
+
+
+def test_a_table_has_a_row_per_group_and_values_side_by_side():
+    runs = Results(
+        {"scheme": scheme, "world": world, "settled": time_s < INF, "to_5mm_s": time_s}
+        for scheme, world, time_s in (("a", "x", 1.0), ("a", "y", 2.0), ("b", "x", INF))
+    )
+    assert table(runs, ["scheme"], ["to_5mm_s:half"], across="world") == [
+        {"scheme": "a", "x": "1.00", "y": "2.00"},
+        {"scheme": "b", "x": "never", "y": "-"},
+    ]
+    first, _ = table(runs, ["scheme"], ["to_5mm_s", "settled:of"])
+    assert first == {"scheme": "a", "to 5 mm, s": "1.50 [1.00, 2.00]", "settled": "2 of 2"}
 
 
 # --- reports ---
@@ -97,35 +107,26 @@ def test_a_report_keeps_numbers_and_the_page_keeps_pictures(tmp_path):
     folder = tmp_path / "servo"
     folder.mkdir()
     (folder / "one.png").write_bytes(b"\x89PNG")
-    data = {"array": np.array([1.0, INF, 1.0 / 3.0]), "case": Case("c", HOME, HOME, 3)}
-    figure, one = Figure("one.png", "what is seen"), Table("numbers", ["a"], [["1"]])
-    verdict = Verdict("claim", "1.00 (0.90 to 1.10)", None, "ours")
-    report = Report("servo", "Servoing <fast>", "Why?", ["So."], [figure], [one], [verdict], data)
-    write_report(report, folder, Origin("fvs_experiments servo --quick", "0.1", "model", True))
+    claim = {"claim": "claim", "finding": "1.00 [0.90, 1.10]", "word": "undecided", "whose": "ours"}
+    report = {
+        "name": "servo",
+        "title": "Servoing <fast>",
+        "question": "Why?",
+        "setup": ["So."],
+        "figures": [{"file": "one.png", "caption": "what is seen"}],
+        "tables": [{"caption": "numbers", "rows": [{"a": "1"}]}],
+        "verdicts": [claim],
+        "data": {"array": np.array([1.0, INF, 1.0 / 3.0]), "case": Case("c", HOME, HOME, 3)},
+        "origin": {"command": "fvs_experiments", "version": "0.1", "model": "", "quick": True},
+    }
+    write_report(report, folder)
     data = json.loads((folder / RESULTS).read_text())["data"]
     assert (data["array"], data["case"]["seed"]) == ([1.0, None, 0.3333333], 3)
-    page = write_page(tmp_path, ["servo"]).read_text()
-    assert re.search("Undecided.*claim.*1.00 .0.90 to 1.10..*ours", page, re.DOTALL)
+    page = write_page(tmp_path).read_text()
+    assert re.search("Undecided.*claim.*1.00 .0.90, 1.10..*ours", page, re.DOTALL)
     for words in ("data:image/png;base64,iVBORw==", "Servoing &lt;fast&gt;", "Quick run."):
         assert words in page
-
-
-# --- spot check ---
-
-
-@each(
-    ("nodes_s", "worst", "holds"),
-    [
-        ([0.6, 1.12, 0.8], "+0.02", True),
-        ([0.2, 1.1, 0.8], "-0.40", False),
-        ([0.6, None, 0.8], "+inf", False),
-    ],
-)
-def test_the_nodes_agree_if_every_target_takes_as_long_as_in_lock_step(nodes_s, worst, holds):
-    lock_step_s = [[0.5, 1.0, 0.8], [0.6, 1.1, 0.8], [0.7, 1.2, 5.0]]
-    (claim,) = spot_check_claims([SpotCheck("a", lock_step_s, nodes_s)])
-    assert claim.holds is holds
-    assert claim.decisive.measured.startswith(worst)
+    assert "| a |" in (tmp_path / "index.md").read_text()
 
 
 # --- command line ---

@@ -1,7 +1,6 @@
 """The floor: no motion brings the ball near its target for good in less time."""
 
 from functools import lru_cache
-from itertools import cycle
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,11 +12,9 @@ from scipy.optimize import linprog
 pytest.importorskip("pybullet")
 
 from fvs_lab import floor
-from fvs_lab.floor import Limits, floor_of, play_s, ur5
-from fvs_lab.outcome import BOUNDS_M
+from fvs_lab.floor import Limits, ur5
 from fvs_lab.trials import Case, make_cases
 from fvs_sim_node.robot import HOME_JOINTS_RAD
-from fvs_sim_node.simulation import SimConfig, Simulation
 
 LIMITS = Limits(1.0, 6.0)
 START_RAD = np.array(HOME_JOINTS_RAD)
@@ -25,7 +22,6 @@ GOAL_RAD = START_RAD + [0.5, -0.3, 0.4, 0.3, -0.5, 0.2]
 CASE = Case("", tuple(START_RAD), tuple(GOAL_RAD), 1)
 #: Of the race.
 CASES = make_cases("B", 5, 410)
-TICK_S = 0.008
 
 fastest = lru_cache(maxsize=None)(floor.fastest)
 
@@ -49,15 +45,32 @@ def test_a_single_joint_enters_at_the_near_edge_and_brakes_at_the_far_one(tolera
     assert found.time_s == pytest.approx(known_s, rel=1e-3)
 
 
+def speeds_rad_s(motion, times_s):
+    """Speeds of the joints of the fastest motion at times, shape (n, joints), rad/s."""
+    end = motion.speed_rad_s
+    so_far = np.clip(times_s, 0.0, motion.time_s)[:, None]
+    ramp, left = 6.0 * so_far, 6.0 * (motion.time_s - so_far)
+    # A mean of the quickest motions either way is within the limits as they are.
+    up, down = np.minimum(np.minimum(ramp, 1.0), end + left), end - left
+    down = np.maximum(np.maximum(-ramp, -1.0), down)
+    furthest = LIMITS.furthest(end, motion.time_s)[0]
+    least = -LIMITS.furthest(-end, motion.time_s)[0]
+    share = (motion.travel_rad - least) / (furthest - least)
+    # How much of each piece of braking is over.
+    over = (times_s[:, None] - motion.time_s) / motion.piece_s - np.arange(floor.PIECES)
+    braked = motion.piece_s * np.clip(over, 0.0, 1.0) @ motion.braking_rad_s2
+    return share * up + (1.0 - share) * down + braked
+
+
 @each(
     ("case", "tolerance_m"),
-    [(CASE, one) for one in BOUNDS_M.values()] + [(case, 0.005) for case in CASES],
+    [(CASE, one) for one in (0.005, 0.001)] + [(case, 0.005) for case in CASES],
 )
 def test_the_fastest_motion_keeps_the_limits_and_stays_near(case, tolerance_m):
     found = fastest(case, LIMITS, tolerance_m)
     step_s = 1e-4
     times_s = np.arange(0.0, found.time_s + 0.2, step_s)
-    speeds = found.speeds_rad_s(times_s)
+    speeds = speeds_rad_s(found, times_s)
     assert np.abs(speeds).max() <= 1.0 + 1e-6
     assert np.abs(np.diff(speeds, axis=0)).max() <= 6.0 * step_s + 1e-6
     assert not np.abs(speeds[0]).any()
@@ -120,20 +133,3 @@ def test_linear_programmes_over_the_whole_motion_find_nothing_faster():
     time_s = fastest(case, LIMITS, 0.005).time_s
     assert outside_m(case, 0.99 * time_s, 0.005) > 1e-4
     assert outside_m(case, 1.02 * time_s, 0.005) < 1e-5  # they do find what there is
-
-
-def test_played_on_ideal_drives_it_is_attained():
-    with Simulation(
-        SimConfig(rendered=False, dead_time_s=0.0, lag_s=0.0, acceleration_limit_rad_s2=1e3)
-    ) as ideal:
-        for case, bound_m in zip(CASES, cycle(BOUNDS_M.values()), strict=False):
-            commands = fastest(case, LIMITS, bound_m - floor.SPARE_M).commands_rad_s(TICK_S)
-            assert np.abs(np.diff(commands, axis=0, prepend=0.0)).max() <= 6.0 * TICK_S + 1e-6
-            late_s = play_s(ideal, case, commands, bound_m) - fastest(case, LIMITS, bound_m).time_s
-            assert -0.001 < late_s < 0.03
-
-
-def test_dead_time_and_lag_cost_a_few_hundredths():
-    found = floor_of(CASE, LIMITS)
-    for name in BOUNDS_M:
-        assert 0.01 < found.clairvoyant_s[name] - found.least_s[name] < 0.05
