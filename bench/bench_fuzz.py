@@ -243,7 +243,7 @@ class Machine(RuleBasedStateMachine):
         ball_m, limits = world.ball(), world.limits
         end_rad = limits.upper_rad if side > 0 else limits.lower_rad
         near_rad = end_rad[joint] - side * room_rad
-        if abs(near_rad - world.joints[joint]) > math.pi:
+        if abs(near_rad - world.joints[joint]) > 1.5 * math.pi:
             return  # by about a turn, which is none of a driver that wraps
         world.joints[joint] = near_rad
         self._push(ball_m - world.ball())
