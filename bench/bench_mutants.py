@@ -83,7 +83,7 @@ SCRIPTS = {
     "the ball swings": [
         do("work", ticks=5),
         do("change", {"max_joint_velocity_rad_s": 0.02, "stall_time_s": 60.0}),
-        do("swing", 0.1, 500),
+        do("swing", 0.1, 550),
     ],
     "the arm is stuck": [do("work", ticks=0), do("arm", "ignores", 600)],
     "the program stops": [do("work"), do("robot", running=False), do("robot")],
