@@ -60,7 +60,7 @@ SCRIPTS = {
     "a joint meets its end": [
         do("work", ticks=0),
         do("call", "stop", 40),
-        do("to_the_limit", 0, 1, 0.1, 120),
+        do("to_the_limit", 2, 1, 0.1, 120),
     ],
     "the Jacobian is singular": [do("work"), do("estimator", smallest=0.01, ticks=40)],
     "the image is reversed": [

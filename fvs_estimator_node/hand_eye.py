@@ -254,6 +254,8 @@ class _Calibrating:
             seen, slopes = model.seen_and_slopes(values)
             off = seen - self._seen
             good = inliers(off, self._seen)
+            if not good.any():
+                raise CalibrationError("no camera explains these images: record more motion")
             rows = (self._white @ slopes)[good]
             white = (self._white @ off[..., None])[good, :, 0]
             found = self._posterior(values, white, rows, good)

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import os
 from functools import cached_property
+from itertools import combinations
 from tempfile import NamedTemporaryFile
 from typing import Any
 
 import cv2
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from fvs_detector_node.images import Region
 from fvs_ros.arguments import how_to_install
@@ -424,18 +424,20 @@ def _unit_sphere() -> tuple[np.ndarray, np.ndarray]:
     """
     golden = (1.0 + 5.0**0.5) / 2.0
     corners = np.array([(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
-    points = np.vstack([np.roll(corners, shift, axis=1) for shift in range(3)])
+    corners = np.vstack([np.roll(corners, shift, axis=1) for shift in range(3)])
+    near = np.linalg.norm(corners[:, None] - corners, axis=2) < 2.1  # an edge is 2 long
+    faces = [one for one in combinations(range(12), 3) if near[np.ix_(one, one)].all()]
+    triangles = corners[faces]
     for _ in range(3):
-        points /= np.linalg.norm(points, axis=1, keepdims=True)
-        faces = ConvexHull(points).simplices
-        edges = np.sort(np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-        points = np.vstack([points, points[np.unique(edges, axis=0)].mean(axis=1)])
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    triangles = ConvexHull(points).simplices
-    a, b, c = np.moveaxis(points[triangles], 1, 0)
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0.0
+        triangles /= np.linalg.norm(triangles, axis=2, keepdims=True)
+        a, b, c = np.moveaxis(triangles, 1, 0)
+        parts = (a, a + b, c + a), (a + b, b, b + c), (c + a, b + c, c), (a + b, b + c, c + a)
+        triangles = np.vstack([np.stack(part, axis=1) for part in parts])
+    triangles /= np.linalg.norm(triangles, axis=2, keepdims=True)
+    inward = np.linalg.det(triangles) < 0.0
     triangles[inward] = triangles[inward][:, ::-1]
-    return points, triangles
+    points, numbers = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    return points, numbers.reshape(-1, 3)
 
 
 def _view_matrix(pose: CameraPose) -> list[float]:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
@@ -267,6 +268,36 @@ class Harness:
         _clear_shared_memory()
         if self._lock:
             self._lock.close()
+
+
+class Statuses:
+    """What a node says of itself, and waits for it."""
+
+    def __init__(self, harness: Harness, node: str, qos: QoSProfile = ros.QOS_NEWEST) -> None:
+        self.harness = harness
+        self.statuses = harness.collect(DiagnosticStatus, f"{node}/status", qos)
+
+    def value(self, key: str) -> str:
+        """A key number of the newest status."""
+        return ros.from_status(self.statuses[-1]).get(key, "") if self.statuses else ""
+
+    def text(self) -> str:
+        """The newest sentence."""
+        return self.statuses[-1].message if self.statuses else ""
+
+    def wait(
+        self, condition: Callable[[], bool], timeout_s: float = 15.0, what: str = "the condition"
+    ) -> None:
+        """Receive until a condition holds."""
+        self.harness.spin_until(condition, timeout_s, what, self.text)
+
+    def wait_for(self, state: str, *words: str, timeout_s: float = 40.0) -> None:
+        """Receive until the newest status has this state, in a sentence with these words."""
+
+        def says() -> bool:
+            return self.value("state") == state and all(word in self.text() for word in words)
+
+        self.wait(says, timeout_s, f"{state}: {' ... '.join(words)}")
 
 
 class PlayedRobot:

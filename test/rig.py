@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped
-from harness import SLOWNESS, Harness
+from harness import SLOWNESS, Harness, Statuses
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
@@ -81,8 +81,9 @@ def assert_sound(commands: list[Sent], started_s: float, acceleration: float = A
     Six finite numbers within the velocity limit; zeros before the first start. From one command to
     the next, no joint's speed changes by more than the acceleration limit allows in
     ``LONGEST_TICK_S``; over any longer time, by no more than it allows in that time and one such
-    tick more, since a command may leave late and its follower on time. A step to zero may be of any
-    size: some faults stop the arm at once.
+    tick more, since a command may leave late and its follower on time, or in as many periods of the
+    joint states: a busy machine hands these on in bursts. A step to zero may be of any size: some
+    faults stop the arm at once.
     """
     for command in commands:
         assert len(command.values) == 6, command
@@ -96,7 +97,8 @@ def assert_sound(commands: list[Sent], started_s: float, acceleration: float = A
         assert step <= acceleration * LONGEST_TICK_S + 1e-9
         for lag in (2, 5, 10, 20):
             change = np.abs(values[lag:] - values[:-lag]).max(axis=1, initial=0.0)
-            allowed = acceleration * (times[lag:] - times[:-lag] + LONGEST_TICK_S)
+            passed_s = np.maximum(times[lag:] - times[:-lag], lag / _RATE_HZ)
+            allowed = acceleration * (passed_s + LONGEST_TICK_S)
             assert np.all(change <= allowed + 1e-9), f"too fast a change within {lag} commands"
 
 
@@ -113,11 +115,11 @@ def _runs(commands: list[Sent]) -> list[list[Sent]]:
     return runs
 
 
-class Rig:
+class Rig(Statuses):
     """Simulator, estimator and controller as processes of their own, with wires between them."""
 
     def __init__(self, folder: Path) -> None:
-        self.harness = Harness(folder)
+        super().__init__(Harness(folder), CONTROLLER)
         try:
             self._set_up()
         except BaseException:
@@ -133,7 +135,6 @@ class Rig:
         self.wires = {topic: Wire(node, kind, topic) for topic, kind in _WIRED.items()}
         deep = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
         node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self._on_command, deep)
-        self.statuses = self.harness.collect(DiagnosticStatus, f"{CONTROLLER}/status")
         self.estimates = self.harness.collect(DiagnosticStatus, f"{ESTIMATOR}/status")
         self.states: list[JointState] = []
         self.balls: list[PointStamped] = []
@@ -163,14 +164,29 @@ class Rig:
         return self.harness.start_node(f"{name}.node", remaps=remaps, **_PARAMETERS[name])
 
     def kill(self, name: str) -> None:
-        """End a node as a power failure would."""
+        """End a node as a power failure would, and let the wires pass on what it had sent."""
         self.processes[name].kill()
         self.processes[name].wait()
+        self.harness.spin_for(0.05)
 
     def restart(self, name: str) -> None:
-        """Run a node again that has ended."""
+        """Run a node again that has ended; of a robot no joint is heard before it hears commands.
+
+        An arm that is servoed and does not hear it yet is rightly held.
+        """
         assert self.processes[name].poll() is not None
         self.processes[name] = self.start_node(name)
+        if name == SIMULATOR:
+            self.wires[topics.JOINT_STATES.name].silent = True
+            reports = self.harness.collect(DiagnosticArray, topics.DIAGNOSTICS.name)
+            count = f"{topics.COMMANDS.name} count"
+
+            def obeys() -> bool:
+                told = [ros.from_status(one) for report in reports for one in report.status]
+                return any(int(values.get(count, 0)) > 0 for values in told)
+
+            self.wait(obeys, what="a robot that hears commands")
+            self.wires[topics.JOINT_STATES.name].silent = False
 
     def set(self, node: str, **values: Any) -> None:
         """Set live parameters."""
@@ -198,17 +214,9 @@ class Rig:
     def _on_command(self, message: Float64MultiArray, info: Mapping[str, int]) -> None:
         self.commands.append(Sent(info["source_timestamp"] * 1e-9, tuple(message.data)))
 
-    def value(self, key: str) -> str:
-        """A key number of the controller's newest status."""
-        return ros.from_status(self.statuses[-1]).get(key, "") if self.statuses else ""
-
     def reason(self) -> str:
         """Why the controller is in its state."""
         return self.value("reason")
-
-    def text(self) -> str:
-        """The controller's newest sentence."""
-        return self.statuses[-1].message
 
     def estimator(self, key: str) -> str:
         """A key number of the estimator's newest status."""
@@ -268,13 +276,20 @@ class Rig:
         self.wait(lambda: self.commands[-1].speed > 0.5 * VELOCITY, what="fast motion")
 
     def assert_stops(self, since_s: float, within_s: float) -> None:
-        """After a moment (wall clock, s) there is motion for so long at most, then zeros only."""
-        end_s = since_s + within_s + BUSY_S
-        self.wait(lambda: self.commands[-1].sent_s > end_s, what="commands")
-        assert self.commands[-1].zero, f"moves after {within_s + BUSY_S:.2f} s; {self._story()}"
+        """After a moment (wall clock, s) there is motion for so long at most, then zeros only.
+
+        A controller that gets no processor time sends nothing, and so long it is excused.
+        """
+
+        def most_s() -> float:
+            times = [one.sent_s for one in self.commands if one.sent_s > since_s - RAMP_S]
+            return within_s + BUSY_S + float(np.diff(times).max(initial=0.0))
+
+        self.wait(lambda: self.commands[-1].sent_s > since_s + most_s(), what="commands")
+        assert self.commands[-1].zero, f"moves after {most_s():.2f} s; {self._story()}"
         moving_s = max((c.sent_s for c in self.commands if not c.zero), default=since_s)
         self.stop_s = next(c.sent_s for c in self.commands if c.sent_s > moving_s) - since_s
-        assert self.stop_s <= within_s + BUSY_S
+        assert self.stop_s <= most_s()
         self.assert_stands()
 
     def assert_stands(self) -> None:
@@ -311,15 +326,14 @@ class Rig:
         self.wait(lambda: self.reason() == "SETTLED", what="SETTLED")
 
 
-class Loop:
+class Loop(Statuses):
     """A loop that runs, perhaps in a namespace, as a test hears it."""
 
     def __init__(self, harness: Harness, namespace: str = "") -> None:
         where = f"{namespace}/" if namespace else ""
-        self.harness = harness
+        super().__init__(harness, where + CONTROLLER)
         self.commands = harness.collect(Float64MultiArray, where + topics.COMMANDS.name)
         self.balls = harness.collect(PointStamped, where + Ball.topics.tool.name)
-        self.statuses = harness.collect(DiagnosticStatus, f"{where}{CONTROLLER}/status")
         # Not latched: the controller would hear each target of a moving one twice.
         self._targets = harness.node.create_publisher(
             PointStamped, where + Ball.topics.target.name, ros.QOS_RELIABLE
@@ -333,7 +347,7 @@ class Loop:
 
     def reason(self) -> str:
         """Why the controller is in its state."""
-        return ros.from_status(self.statuses[-1])["reason"] if self.statuses else ""
+        return self.value("reason")
 
     def aim(self, position_m: np.ndarray) -> None:
         """Publish a target, m."""
@@ -350,12 +364,3 @@ class Loop:
         self.harness.spin_until(
             lambda: self.distance_m(position_m) < 0.005, 30.0, "the ball there", self.reason
         )
-
-
-class Launched(Loop):
-    """The nodes of the scenario ``servo``, perhaps in a namespace."""
-
-    def __init__(self, harness: Harness, *arguments: str, namespace: str = "") -> None:
-        named = ("--namespace", namespace) if namespace else ()
-        self.process = harness.start("fvs_tools.launcher", "servo", *named, *arguments)
-        super().__init__(harness, namespace)

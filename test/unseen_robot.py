@@ -6,9 +6,9 @@ real driver and a detector have: joints in the driver's (alphabetical) order wit
 gripper's among them, all but the elbow wrapped at pi, where the arm stands at first. Without
 commands it stands; the last one holds for ever.
 
-usage: unseen_robot.py SEED JOINT_RATE_HZ [pose]
+The arm has a seventh joint, and carries a tag whose pose a foreign tracker publishes.
 
-With ``pose`` the arm has a seventh joint, and carries a tag whose pose a foreign tracker publishes.
+usage: unseen_robot.py SEED JOINT_RATE_HZ
 """
 
 import contextlib
@@ -79,12 +79,10 @@ class UnseenRobot:
 
     STEP_S = 0.001
 
-    def __init__(self, seed: int, pose: bool = False) -> None:
+    def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng([seed, 77])
-        self.arm, self.kind, self.names = draw_arm(self._rng), kind_of("ball"), [*NAMES]
-        if pose:
-            self.kind, self.names = kind_of("pose", ARM_M), [*NAMES, "wrist_4_joint"]
-            self.arm = with_tag(draw_arm(self._rng), self.kind, self._rng)
+        self.kind, self.names = kind_of("pose", ARM_M), [*NAMES, "wrist_4_joint"]
+        self.arm = with_tag(draw_arm(self._rng), self.kind, self._rng)
         self.joints_rad = self.arm.reference_rad.copy()
         self.command_rad_s = np.zeros(self.joints_rad.size)
         self._velocity = self.command_rad_s
@@ -131,20 +129,18 @@ class UnseenRobot:
 def main() -> None:
     """Stand behind the topics, in real time."""
     import rclpy
-    from geometry_msgs.msg import PointStamped, PoseStamped
+    from geometry_msgs.msg import PoseStamped
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64MultiArray
 
     from fvs_ros import ros
 
-    is_pose = "pose" in sys.argv
-    robot, period_s = UnseenRobot(int(sys.argv[1]), is_pose), 1.0 / float(sys.argv[2])
-    kind = PoseStamped if is_pose else PointStamped
+    robot, period_s = UnseenRobot(int(sys.argv[1])), 1.0 / float(sys.argv[2])
     rclpy.init()
     node = rclpy.create_node("ur_robot_driver")
     joint_states = node.create_publisher(JointState, "joint_states", 10)
-    seen = node.create_publisher(kind, robot.kind.topics.tool.name, 10)
-    truth = node.create_publisher(kind, "truth", 10)
+    seen = node.create_publisher(PoseStamped, robot.kind.topics.tool.name, 10)
+    truth = node.create_publisher(PoseStamped, "truth", 10)
     started_s, epoch_s = time.monotonic(), time.time()
     names = sorted([*robot.names, "gripper_joint"])
     home = np.pi * (np.arange(len(robot.names)) != 2)  # where the driver says that it stands

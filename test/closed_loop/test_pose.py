@@ -52,29 +52,6 @@ def test_every_scheme_settles_in_position_and_angle(scheme):
     assert loop.loop.supervisor.last.reason is Reason.SETTLED
 
 
-@each("scheme", ["best", "proposed"])
-@each("lever_arm_m", [0.15, 0.6])
-def test_any_lever_arm_does(scheme, lever_arm_m):
-    loop = loop_of(scheme, lever_arm_m=lever_arm_m)
-    true = loop.simulation.true_feature_jacobian(loop.simulation.joints_rad, loop.kind)
-    assert np.linalg.norm(loop.loop.jacobian - true) < 0.05 * np.linalg.norm(true)
-    way_m, angle_rad = servo(loop, pose_at(loop, GOAL_RAD), 3.0)
-    assert way_m[-125:].max() < SETTLED_M
-    assert angle_rad[-125:].max() < 2.0 * SETTLED_RAD
-
-
-def test_the_oracle_has_the_true_jacobian():
-    simulation = Simulation(EXACT)
-    simulation.reset(START_RAD, 1)
-    loop = ClosedLoop.of_scheme(replace(SCHEMES["proposed"], method="oracle"), simulation)
-    loop.run(0.5)
-    true = simulation.true_feature_jacobian(simulation.joints_rad)
-    np.testing.assert_allclose(loop.loop.jacobian, true, atol=2e-3)
-    way_m, angle_rad = servo(loop, pose_at(loop, GOAL_RAD), 2.0)
-    assert way_m[-60:].max() < SETTLED_M
-    assert angle_rad[-60:].max() < SETTLED_RAD
-
-
 def test_rendered_images_bring_it_to_rest_within_a_millimetre_and_a_tenth_of_a_degree():
     loop = loop_of("best", SimConfig(feature="pose"))
     way_m, angle_rad = servo(loop, pose_at(loop, GOAL_RAD), 3.0)

@@ -7,10 +7,9 @@ import pytest
 from cases import each
 from lock_step import EXACT, ball_at, loop_from, run
 
-from fvs_controller_node.reasons import Reason, State
+from fvs_controller_node.reasons import State
 from fvs_estimator_node.files import load_model
 from fvs_lab.trials import HOME_RAD, jacobian_error, make_cases, simulation_of
-from fvs_ros.chain import SerialChain
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import SimConfig, Simulation
@@ -70,16 +69,6 @@ def test_a_joint_brakes_before_its_end_behind_a_drive_that_lags():
             loop.tick()
             passed_rad.append(np.where(up, 1.0, -1.0) * (simulation.joints_rad - end))
     assert np.max(passed_rad) < 2e-3
-
-
-def test_by_positions_it_settles_as_by_velocities():
-    with Simulation(SimConfig(command_interface="position", rendered=False)) as simulation:
-        loop = ClosedLoop.of_scheme("best", simulation)
-        loop.run(0.5)
-        target_m = loop.ball_m + [0.0, 0.2, 0.1]
-        loop.set_target(target_m)
-        loop.run(1.0)
-        assert np.abs(loop.ball_m - target_m).max() < 0.001
 
 
 # ---- images stamped late, noisy, or of another chain ------------------------------------------
@@ -147,35 +136,7 @@ def turned(chain):
     return chain.moved(quarter, np.zeros(3))
 
 
-def reversed_axes(chain):
-    return SerialChain(-chain.axes, chain.points_m, chain.feature_m, chain.reference_rad)
-
-
-@each("wrong", [turned, reversed_axes])
-def test_an_arm_that_is_sent_another_arms_chain_is_held(wrong):
-    loop = loop_from("best", HOME_RAD)
-    right = loop.loop.add_chain
-    loop.loop.add_chain = lambda now_s, chain: right(now_s, wrong(chain))
-    loop.set_target(loop.ball_m + [0.0, 0.2, 0.1])
-    reasons = [loop.tick().reason for _ in range(125)]
-    assert reasons[-1] is Reason.PREDICTION_ERROR
-    assert not loop.loop.supervisor.started
-
-
 # ---- from target to target the joints do not turn away without end ----------------------------
-
-
-def test_many_targets_in_a_row_are_reached_near_the_posture_of_the_start():
-    loop, rng = loop_from("best", HOME_RAD), np.random.default_rng(2)
-    candidates_m = load_model(find_file(MODEL)).ball_samples_m
-    away_rad = []
-    for _ in range(20):
-        seen_m = loop.simulation.true_ball_position()
-        _, errors_m = run(loop, choose_target(loop.kind, candidates_m, seen_m, 0.3, rng), 1.8)
-        assert errors_m[-1] < 0.005
-        away_rad.append(np.abs(loop.simulation.joints_rad - HOME_RAD).max())
-    # Without the way back: 0.82 in the mean.
-    assert np.mean(away_rad) < 0.5
 
 
 def test_a_target_that_goes_round_and_round_is_followed_near_the_posture_of_the_start():

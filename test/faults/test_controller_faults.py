@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
-from harness import PlayedRobot
+from harness import PlayedRobot, Statuses
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from std_srvs.srv import Trigger
 
@@ -19,20 +18,16 @@ FAR = (0.25, -0.15, 0.1)
 STOP_S = 0.2 + VELOCITY / ACCELERATION + 0.15
 
 
-class Bench:
+class Bench(Statuses):
     """A controller among played neighbours."""
 
     def __init__(self, harness, process=None):
-        self.harness = harness
+        super().__init__(harness, "fvs_controller_node")
         self.robot = PlayedRobot(harness)
         self.process = process or harness.start_node(MODULE, **LIMITS)
-        self.statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
         self.target = harness.publisher(PointStamped, Ball.topics.target.name, ros.QOS_LATCHED)
         self.robot.meet_controller()
-        harness.spin_until(lambda: self.reason() in ("NO_TARGET", "READY"), what="all inputs")
-
-    def value(self, key):
-        return ros.from_status(self.statuses[-1]).get(key) if self.statuses else None
+        self.wait(lambda: self.reason() in ("NO_TARGET", "READY"), what="all inputs")
 
     def reason(self):
         return self.value("reason")
@@ -40,19 +35,13 @@ class Bench:
     def state(self):
         return self.value("state")
 
-    def text(self):
-        return self.statuses[-1].message
-
-    def wait(self, condition, timeout_s=10.0, what="the condition"):
-        self.harness.spin_until(condition, timeout_s, what)
-
     def start(self):
         response = self.harness.call(Trigger, "fvs_controller_node/start")
         assert response.success, response.message
 
     def servo(self):
         self.robot.give_target(self.target, FAR)
-        self.wait(lambda: self.state() == "READY", what="READY")
+        self.wait_for("READY")
         self.start()
         self.wait(self.robot.moving, what="motion")
 
@@ -108,14 +97,6 @@ def test_another_nodes_commands_hold_the_arm_and_the_node_is_named(bench):
     bench.assert_keeps_sending_zeros()
 
 
-def test_a_second_controller_of_the_same_name_is_noticed(bench):
-    bench.harness.start_node(MODULE)
-    bench.wait(
-        lambda: any("another /fvs_controller_node" in m.message for m in bench.statuses[-20:]),
-        what="a word on the other one",
-    )
-
-
 def test_huge_and_malformed_messages_are_dropped_and_told_in_a_line(bench):
     bench.servo()
     huge = ros.to_point(0.0, "x" * 10**6, bench.robot.ball)
@@ -130,7 +111,7 @@ def test_huge_and_malformed_messages_are_dropped_and_told_in_a_line(bench):
         bench.harness.spin_for(0.05)
     bench.target.publish(ros.to_point(0.0, "no \x1b[2J frame", bench.robot.ball))
     bench.wait(lambda: "refused" in bench.text(), what="a target that is small enough to be heard")
-    bench.wait(lambda: bench.state() == "SERVOING", what="SERVOING all the same")
+    bench.wait_for("SERVOING")
     output = bench.harness.output(bench.process)
     assert "a message was dropped" in output
     assert "no  [2J frame" in output

@@ -208,22 +208,3 @@ def test_a_process_that_ends_brings_the_arm_to_rest_within_a_jerk_limit(monkeypa
     if jerk:
         assert np.abs(np.diff(sent, 2, axis=0)).max() < jerk * CYCLE_S**2
         assert not sent[-1].any()
-
-
-def test_a_lasting_hold_is_logged_at_once_after_one_that_passed(monkeypatch):
-    world, logged = World(), []
-    monkeypatch.setattr(world.node, "tell", lambda _level, text: logged.append((world.now_s, text)))
-    world.run(FRESH_TICKS)
-    world.send_target(world.ball() + [0.3, 0.0, 0.0])
-    world.start()
-    for _ in range(3):  # passing ones
-        world.run(10)
-        world.run(30, silent=[BALL])
-        world.run(FRESH_TICKS)
-    holds = [text for _, text in logged if "HOLDING" in text]
-    assert len(holds) == 1
-    began_s = world.now_s
-    world.run(150, silent=[BALL])
-    at_s, text = logged[-1]
-    assert "ball_position is" in text
-    assert at_s - began_s < 0.8

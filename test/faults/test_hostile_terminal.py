@@ -103,11 +103,9 @@ def test_what_would_suspend_does_not_and_a_hangup_leaves_zeros_on_the_wire(ros_t
     bench.wait(lambda: bench.reason() == "SHUT_DOWN", 2.0, "the last word")
 
 
-@pytest.mark.parametrize("terminal", ["deaf", "left"])
-def test_the_launcher_outlives_its_reader(request, terminal):
-    harness = request.getfixturevalue(terminal)
-    commands = harness.collect(Float64MultiArray, topics.COMMANDS.name)
-    process = harness.start("fvs_tools.launcher", "servo")
-    harness.spin_until(lambda: len(commands) > 100, 30.0, "commands")
+def test_the_launcher_outlives_its_reader_also_in_a_namespace(left):
+    commands = left.collect(Float64MultiArray, f"arm/{topics.COMMANDS.name}")
+    process = left.start("fvs_tools.launcher", "servo", "--namespace", "arm")
+    left.spin_until(lambda: len(commands) > 100, 30.0, "commands")
     assert process.poll() is None
-    assert harness.stop(process) == 0
+    assert left.stop(process) == 0

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, Vector3Stamped
-from harness import PlayedRobot
+from harness import PlayedRobot, Statuses
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -23,31 +23,21 @@ NAME = "fvs_estimator_node"
 MODULE = f"{NAME}.node"
 
 
-class Watched:
-    """An estimator node, its Jacobians, chains and statuses."""
+class Watched(Statuses):
+    """An estimator node, its Jacobians and statuses."""
 
     def __init__(self, harness, **parameters):
-        self.harness = harness
+        super().__init__(harness, NAME)
         self.process = harness.start_node(MODULE, **parameters)
         self.jacobians = harness.collect(Float64MultiArray, topics.JACOBIAN.name)
-        self.statuses = harness.collect(DiagnosticStatus, topics.ESTIMATOR_STATUS.name)
-
-    def wait(self, condition, what="the condition"):
-        self.harness.spin_until(condition, what=what, story=self.text)
-
-    def value(self, key):
-        return ros.from_status(self.statuses[-1])[key] if self.statuses else ""
 
     def number(self, key):
         return float(self.value(key) or "nan")
 
-    def text(self):
-        return self.statuses[-1].message if self.statuses else ""
-
     def jacobian(self):
         """One from now on."""
         count = len(self.jacobians)
-        self.wait(lambda: len(self.jacobians) > count + 2, "a Jacobian")
+        self.wait(lambda: len(self.jacobians) > count + 2, what="a Jacobian")
         return ros.from_jacobian(self.jacobians[-1], 6)
 
     def choose(self, method):
@@ -82,7 +72,7 @@ def test_it_learns_from_motion_unless_frozen_and_a_reset_forgets(ros_test):
     robot.silent.add(topics.JACOBIAN.name)
     estimator = Watched(ros_test, **{"rbf.n1": 3.0})
     arrays = ros_test.collect(DiagnosticArray, topics.DIAGNOSTICS.name)
-    estimator.wait(lambda: estimator.value("state") == "LEARNING")
+    estimator.wait_for("LEARNING")
     home = robot.joints.copy()
 
     def error():
@@ -101,7 +91,7 @@ def test_it_learns_from_motion_unless_frozen_and_a_reset_forgets(ros_test):
 
     at_first = error()
     freeze(True)
-    estimator.wait(lambda: estimator.value("state") == "FROZEN")
+    estimator.wait_for("FROZEN")
     swing(0.6)
     assert estimator.value("steps_learned") == "0"
     assert error() == pytest.approx(at_first, rel=1e-2)
@@ -118,9 +108,9 @@ def test_it_learns_from_motion_unless_frozen_and_a_reset_forgets(ros_test):
         return message
 
     robot.spoil[Ball.topics.tool.name] = elsewhere
-    estimator.wait(lambda: "base_link" in estimator.text() and estimator.value("state") == "FAULT")
+    estimator.wait_for("FAULT", "base_link")
     robot.spoil.clear()
-    estimator.wait(lambda: estimator.value("state") == "LEARNING")
+    estimator.wait_for("LEARNING")
     values = ros.from_status(arrays[-1].status[0])
     assert arrays[-1].status[0].name == f"/{NAME}"
     assert float(values["joint_states rate_hz"]) > 50.0
@@ -148,7 +138,7 @@ def test_without_a_model_it_hands_on_the_truth_or_learns_from_zero(ros_test):
     np.testing.assert_array_equal(estimator.jacobian(), robot.jacobian)
     # What was true a moment ago is not handed on as if it were of now.
     teller.cancel()
-    estimator.wait(lambda: estimator.value("state") == "WAITING")
+    estimator.wait_for("WAITING")
     heard = len(estimator.jacobians)
     ros_test.spin_for(0.4)
     assert len(estimator.jacobians) == heard
@@ -161,7 +151,7 @@ def test_without_a_model_it_hands_on_the_truth_or_learns_from_zero(ros_test):
     assert not answer.successful
     assert "call its ~/stop first" in answer.reason
     servoes.cancel()
-    estimator.wait(lambda: estimator.choose("lkf").successful, "another method")
+    estimator.wait(lambda: estimator.choose("lkf").successful)
     estimator.wait(lambda: "has seen no motion" in estimator.text())
     assert len(estimator.jacobians) == heard
     for joint in range(5):
@@ -183,7 +173,7 @@ def test_whoever_comes_late_hears_of_the_chain_and_a_doubtful_model_says_so(ros_
     estimator = Watched(ros_test, method="poe", model_path=path)
     jacobian = estimator.jacobian()
     late = ros_test.collect(Float64MultiArray, topics.KINEMATIC_CHAIN.name)
-    estimator.wait(lambda: bool(late), "the chain of an arm at rest")
+    estimator.wait(lambda: bool(late), what="the chain of an arm at rest")
     shape = [(dim.label, dim.size) for dim in late[-1].layout.dim]
     assert shape == [("joint", 7), ("axis_point_reference", 8)]
     chain = ros.from_chain(late[-1], 6)

@@ -1,6 +1,5 @@
 """The launcher with real nodes: the whole loop, its end, and its refusals."""
 
-import json
 import os
 import re
 import signal
@@ -11,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import programs_in_turn
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from harness import children, ros_arguments
 from sensor_msgs.msg import Image
@@ -31,40 +29,12 @@ EXECUTABLES = dict(
 )
 
 
-def command_line(pid):
-    return Path(f"/proc/{pid}/cmdline").read_text()
-
-
 def alive(pid):
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
     return True
-
-
-def test_the_demo_settles_every_target(ros_test):
-    simulated = ["-p", "use_sim_time:=true", "-p", "simulated_time:=true"]
-    short = ["-p", "targets:=2", "-p", "target_s:=2.5", "-p", "fvs_demo_node:seed:=5"]
-    short += ["-p", "joint_state_rate_hz:=60", "-p", "image_rate_hz:=20.0"]
-    statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name, ros.QOS_EVERY)
-    process = ros_test.start(MODULE, "demo", *simulated, *short)
-    assert ros_test.wait(process, 90.0) == 0, ros_test.output(process)
-    # The arm is stopped before the figure is drawn, and so not held meanwhile.
-    states = [ros.from_status(status)["state"] for status in statuses]
-    drawing = states[-states[::-1].index("SERVOING") :]
-    assert drawing[0] == "READY", drawing
-    assert "HOLDING" not in drawing[:-1], drawing
-    folder = ros_test.folder / "out" / "demo"
-    results = json.loads((folder / "results.json").read_text())
-    assert len(results) == 2
-    for result in results:
-        assert 0.25 < result["start_distance_m"] < 0.35
-        assert result["settling_5mm_s"] < 2.5
-        assert result["final_rms_m"] < 0.003
-        assert result["peak_joint_speed_rad_s"] < 1.1
-    assert (folder / "demo.png").stat().st_size > 20_000
-    assert "to 5 mm" in ros_test.output(process)
 
 
 def test_ctrl_c_in_motion_ends_all_with_zeros_last(ros_test):
@@ -134,6 +104,10 @@ def test_a_signal_at_any_moment_of_the_start_ends_all(ros_test, moment):
     assert ros_test.stop(process, signal.SIGINT) == 0, ros_test.output(process)
     assert not any(alive(pid) for pid in nodes)
     assert "Traceback" not in ros_test.output(process)
+
+
+def command_line(pid):
+    return Path(f"/proc/{pid}/cmdline").read_text()
 
 
 def test_a_node_that_dies_brings_all_down_and_is_named(ros_test):

@@ -57,11 +57,3 @@ def test_a_viewer_sees_ball_target_and_prediction_in_the_cameras_frame(viewer):
     assert found["distance"].type == Marker.TEXT_VIEW_FACING
     assert found["distance"].pose.position.y < 0.5, "above: the camera's y points down"
     assert found["target"].color.a < 1.0, "it must not hide the ball"
-
-
-def test_what_is_not_known_any_more_is_not_shown(viewer):
-    values = {**STATUS, "state": "HOLDING", "error_m": "unknown", "position_x_m": "unknown"}
-    found = viewer({"ball", "trail", "target", "distance"}, **values)
-    assert found["distance"].text == "no ball, holding"
-    viewer({"ball", "trail"})
-    viewer({"trail"}, ball_m=None)

@@ -109,19 +109,6 @@ def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(ros_test
     assert surface_m == pytest.approx(ball.z - 0.04, abs=0.02)
 
 
-def test_disturbances_are_live(simulator):
-    balls = simulator.collect(PointStamped, Ball.topics.tool.name)
-    simulator.spin_until(lambda: len(balls) > 0)
-    before = balls[-1].point
-    assert set_parameter(simulator, "camera_rotation_deg", [0.0, 0.0, 20.0]).successful
-    simulator.spin_until(lambda: abs(balls[-1].point.x - before.x) > 0.03, what="a bumped camera")
-    assert set_parameter(simulator, "dropout", 1.0).successful
-    simulator.spin_for(0.2)
-    count = len(balls)
-    simulator.spin_for(0.3)
-    assert len(balls) == count
-
-
 def test_a_viewer_learns_of_robot_and_camera_whenever_it_comes(ros_test):
     ros_test.start_node("fvs_sim_node.node", tf_prefix="left_")
     descriptions = ros_test.collect(String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED)

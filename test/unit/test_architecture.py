@@ -115,22 +115,6 @@ def test_no_files_import_each_other_in_a_circle():
     TopologicalSorter(imports).prepare()  # raises CycleError with the circle
 
 
-@each(
-    ("path", "source"),
-    [
-        ("fvs_controller_node/ftsm.py", "def f():\n    from std_srvs.srv import Trigger"),
-        ("fvs_controller_node/node.py", "from fvs_tools import launcher"),
-        ("fvs_estimator_node/node.py", "if True:\n    import pybullet"),
-        ("fvs_tools/train.py", "import torch"),
-        ("fvs_ros/limits.py", "import scipy.optimize"),
-        ("fvs_detector_node/annotate.py", "from fvs_sim_node.world import Renderer"),
-        ("fvs_ros/ros/__init__.py", "from fvs_ros.ros import images"),
-    ],
-)
-def test_a_forbidden_import_is_found(path, source):
-    assert violations(path, source) != []
-
-
 def test_the_nodes_of_the_loop_keep_their_subscriptions():
     """Their executor does not support destroying subscriptions."""
     keep = "keeps_subscriptions = True"

@@ -1,6 +1,7 @@
 """Hand-eye calibration from motion: the camera to a millimetre, and what is wrong, named."""
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -31,10 +32,11 @@ CAMERA = CAMERAS["front"]
 TAG = np.array([0.02, 0.01, 0.1]), Rotation.from_rotvec([0.3, 1.2, 0.4]).as_matrix()
 
 
+@cache
 def collected(
-    feature="ball", noise_m=2e-4, arm=ARM, on_arm=False, delay_s=0.0, seconds=60.0, wide=(0.5,) * 6
+    feature="ball", noise_m=2e-4, on_arm=False, delay_s=0.0, seconds=30.0, wide=(0.5,) * 6
 ):
-    """A minute of motion at 30 Hz, seen by a camera; joints in the URDF's order."""
+    """Motion at 30 Hz, seen by a camera; joints in the URDF's order."""
     rng = np.random.default_rng(3)
     time_s = 0.5 + np.arange(0.0, seconds, 1.0 / 30.0)
     asked = MotionConfig(duration_s=3600.0, joint_range_rad=wide, max_joint_velocity_rad_s=0.65)
@@ -42,7 +44,7 @@ def collected(
     joints, reported = (
         np.array([motion.path(one)[0] for one in time_s - late_s]) for late_s in (delay_s, 0.0)
     )
-    chain = arm.reversed() if on_arm else arm
+    chain = ARM.reversed() if on_arm else ARM
     place_m, turn = TAG
     pose = Pose(0.3)
     tip = chain.tip_rotation, chain.tip_m
@@ -107,10 +109,12 @@ def test_zeros_of_the_joints_are_found_where_a_camera_can_tell_them():
     assert "no camera can tell the zeros of shoulder_pan_joint and wrist_3_joint" in notes
 
 
-@pytest.mark.parametrize("on_arm", [False, True])
 @pytest.mark.parametrize(
-    ("shift_m", "words"),
-    [((0.005, 0.0, 0.0), "elbow_joint"), ((0.0, 0.005, 0.0), "shoulder_lift_joint or elbow_joint")],
+    ("on_arm", "shift_m", "words"),
+    [
+        (False, (0.005, 0.0, 0.0), "elbow_joint"),
+        (True, (0.0, 0.005, 0.0), "shoulder_lift_joint or elbow_joint"),
+    ],
 )
 def test_a_wrong_length_of_a_link_is_named(on_arm, shift_m, words):
     """With all joints that it cannot be told from: axes 2 to 4 are parallel to y."""
@@ -123,14 +127,12 @@ def test_a_wrong_length_of_a_link_is_named(on_arm, shift_m, words):
     assert "is about 5" in found.verdict[1]
 
 
-def lens(data, focal=1.0, k1=0.0):
+def lens(data, focal):
     """Balls where a lens shows them that camera_info describes wrongly."""
-    tangent = data.ball_m[:, :2] / data.ball_m[:, 2:]
-    factor = focal * (1.0 + k1 * np.sum(tangent**2, axis=1, keepdims=True))
-    return replace(data, ball_m=data.ball_m * np.hstack([factor, factor, np.ones_like(factor)]))
+    return replace(data, ball_m=data.ball_m * [focal, focal, 1.0])
 
 
-def tags(data, focal=1.0, k1=0.0):
+def tags(data, k1):
     """The poses of tags of 10 cm by their corners in such images, half a pixel off."""
     pose, camera, rng = Pose(0.3), np.diag([600.0, 600.0, 1.0]), np.random.default_rng(4)
     corners = 0.05 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
@@ -138,7 +140,7 @@ def tags(data, focal=1.0, k1=0.0):
     for one in data.ball_m:
         points = corners @ pose.rotation(one).T + one[:3]
         tangent = points[:, :2] / points[:, 2:]
-        factor = focal * (1.0 + k1 * np.sum(tangent**2, axis=1, keepdims=True))
+        factor = 1.0 + k1 * np.sum(tangent**2, axis=1, keepdims=True)
         image = 600.0 * factor * tangent + rng.normal(0.0, 0.1, (4, 2))
         about = cv2.Rodrigues(pose.rotation(one))[0], one[:3].reshape(3, 1).copy()
         turn, place = cv2.solvePnPRefineLM(corners, image, camera, None, *about)
@@ -155,10 +157,9 @@ def geared(data):
     ("feature", "noise_m", "change", "words"),
     [
         ("ball", 1e-3, lambda data: data, None),
-        ("ball", 2e-4, lambda data: lens(data, focal=1.01), "the focal length is +1.0"),
-        ("ball", 2e-4, lambda data: lens(data, k1=-0.05), "a distortion of k1 = -0.05"),
-        ("pose", 0.0, lambda data: tags(data, focal=1.01), "the focal length is +0.99"),
-        ("pose", 0.0, lambda data: tags(data, k1=-0.05), "a distortion of k1 = -0.0"),
+        ("ball", 2e-4, lambda data: lens(data, 1.01), "the focal length is +1.0"),
+        ("pose", 0.0, lambda data: tags(data, -0.05), "a distortion of k1 = -0.0"),
+        ("ball", 2e-4, lambda data: replace(data, ball_m=1.01 * data.ball_m), "lengths +1.0"),
         ("ball", 2e-4, geared, "elbow_joint moves +0.50 % further than it reports"),
     ],
 )
@@ -188,10 +189,9 @@ def test_the_slopes_are_those_of_what_is_seen(feature):
     np.testing.assert_allclose(slopes, np.stack(numeric, axis=-1) / 2e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_links_that_are_all_off_widen_what_is_stated(seed):
+def test_links_that_are_all_off_widen_what_is_stated():
     points_m, tip_m = ARM.points_m.copy(), ARM.tip_m.copy()
-    for i, shift_m in enumerate(np.random.default_rng(seed).normal(0.0, 2e-3, (5, 3)), 1):
+    for i, shift_m in enumerate(np.random.default_rng(0).normal(0.0, 2e-3, (5, 3)), 1):
         points_m[i:] += shift_m
         tip_m += shift_m
     found = calibrate(collected(), replace(ARM, points_m=points_m, tip_m=tip_m))
@@ -200,19 +200,12 @@ def test_links_that_are_all_off_widen_what_is_stated(seed):
     assert off_in_deviations(found) < 28.0  # all but 0.01 %
 
 
-def test_a_scale_of_the_camera_is_told():
-    data = collected()
-    found = calibrate(replace(data, ball_m=1.01 * data.ball_m), ARM)
-    assert errors(found)[0] < 1e-3
-    assert "lengths +1.0" in " ".join(found.notes())
-
-
 def mirrored(data):
     return data, replace(ARM, axes=ARM.axes * [[1], [1], [1], [-1], [1], [1]])
 
 
 def late(data):
-    return collected(delay_s=0.4), ARM
+    return collected(delay_s=0.4, seconds=15.0), ARM
 
 
 def in_mm(data):
@@ -221,19 +214,6 @@ def in_mm(data):
 
 def swapped(data):
     return replace(data, joints_rad=data.joints_rad[:, [0, 2, 1, 3, 4, 5]]), ARM
-
-
-def slow_and_swapped(data):
-    """Images so slow that they tell no noise."""
-    data = swapped(collected(seconds=100.0))[0]
-    parts = {
-        name: getattr(data, name)[::10] for name in ("stamps_s", "joints_rad", "ball_m", "segment")
-    }
-    return replace(data, **parts), ARM
-
-
-def first_mirrored(data):
-    return collected(noise_m=1e-3), replace(ARM, axes=ARM.axes * [[-1], [1], [1], [1], [1], [1]])
 
 
 def too_short(data):
@@ -248,7 +228,7 @@ def still(data):
 
 def bumped(data):
     moved = data.ball_m.copy()
-    moved[900:] += [0.004, 0.002, 0.0]
+    moved[300:] += [0.004, 0.002, 0.0]
     return replace(data, ball_m=moved), ARM
 
 
@@ -266,21 +246,19 @@ def short(data):
     ("change", "words"),
     [
         (mirrored, "wrist_1_joint turns the other way than in the URDF"),
-        (first_mirrored, "shoulder_pan_joint turns the other way than in the URDF"),
         (too_short, "moves like that. wrist_1_joint, wrist_2_joint, wrist_3_joint moved, too"),
         (still, "wrist_2_joint never moved"),
-        (bumped, r"the camera moved, or .* by about \d.\d mm and .* some (29|30|31) s after"),
+        (bumped, r"the camera moved, or .* by about \d.\d mm and .* some (9|10|11) s after"),
         (renamed, "the data lack shoulder_pan_joint"),
         (short, "a chain needs at least 200 images"),
         (late, "the images are stamped .0.20 s late, or more"),
         (in_mm, "ball or tag has places 1... m away: expected metres"),
         (swapped, "are the joints in rad, and under their own names"),
-        (slow_and_swapped, "are the joints in rad, and under their own names"),
     ],
 )
 def test_what_cannot_be_calibrated_is_named(change, words):
     with pytest.raises(ValueError, match=words):
-        calibrate(*change(collected()))
+        calibrate(*change(collected(seconds=20.0)))
     assert issubclass(CalibrationError, ValueError)
 
 
@@ -300,39 +278,30 @@ def test_an_arm_of_parallel_axes_says_what_it_cannot_tell():
     assert ", 1.00) of base_link" in reason
 
 
-@pytest.mark.parametrize(
-    ("wide", "noise_m", "words"),
-    [
-        ((0.05, *(0.5,) * 5), 2e-3, "move shoulder_pan_joint 10 times as far to know it to"),
-        ((0.1,) * 6, 1e-3, "move all joints twice as far to know it to"),
-    ],
-)
-def test_too_little_motion_says_which_would_do(wide, noise_m, words):
-    found = calibrate(collected(noise_m=noise_m, seconds=30.0, wide=wide), ARM)
-    assert found.verdict[0] != "good"
-    assert words in found.verdict[1]
-    promised_m = next(one.deviation_m for one in found.remedies if one.words in words)
+def test_too_little_motion_says_which_would_do():
+    wide = (0.05, *(0.5,) * 5)
+    found = calibrate(collected(noise_m=2e-3, wide=wide), ARM)
+    word, reason = found.verdict
+    assert word != "good"
+    assert "move shoulder_pan_joint 10 times as far to know it to" in reason
+    promised_m = next(one.deviation_m for one in found.remedies if one.words in reason)
     assert promised_m < 0.9 * found.deviation_m
 
 
-@pytest.mark.parametrize("on_arm", [False, True])
-def test_the_arm_is_drawn_where_the_image_shows_it(on_arm):
+def test_the_arm_is_drawn_where_the_image_shows_it():
     """Through delay, zeros and focal length, at the joints of the exposure."""
-    delay_s, at = 0.05, 500
-    data = collected("pose" if on_arm else "ball", delay_s=delay_s, on_arm=on_arm)
-    data = replace(data, ball_m=data.ball_m * np.resize([1.005, 1.005, 1.0], data.ball_m.shape[1]))
+    delay_s, at = 0.05, 300
+    data = lens(collected(delay_s=delay_s, seconds=15.0), 1.005)
     reported = replace(data, joints_rad=data.joints_rad - [0, 0, 0.02, 0, 0, 0])
-    found = calibrate(reported, ARM, on_arm)
+    found = calibrate(reported, ARM)
     camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
     photo = Photograph.of(np.zeros((480, 640, 3), np.uint8), CameraModel(camera), data.stamps_s[at])
     drawn = draw(found, reported, photo).axes[0].lines[-1].get_xydata()
-    arm = ARM.reversed() if on_arm else ARM
-    order = slice(None, None, -1) if on_arm else slice(None)
     joints = np.array(
         [np.interp(photo.stamp_s - delay_s, data.stamps_s, one) for one in data.joints_rad.T]
     )
-    axes, tip_m = arm.tip_at(joints[order])
-    points_m = np.vstack([arm.at(joints[order])[0], tip_m, tip_m + TAG[0] @ axes])
+    axes, tip_m = ARM.tip_at(joints)
+    points_m = np.vstack([ARM.at(joints)[0], tip_m, tip_m + TAG[0] @ axes])
     seen_m = (points_m - CAMERA.position_m) @ CAMERA.rotation
     true = Intrinsics(640, 480, 603.0, 603.0, 320.0, 240.0).project(seen_m)
     np.testing.assert_allclose(drawn, true, atol=0.5)
@@ -361,7 +330,7 @@ def test_the_program_writes_transform_picture_and_command(tmp_path, capsys):
 
 
 def test_names_of_frames_do_no_harm(tmp_path):
-    found = calibrate(replace(collected(), feature_frame='cam"; touch x; <b>'), ARM)
+    found = calibrate(replace(collected(seconds=10.0), feature_frame='cam"; touch x; <b>'), ARM)
     assert "--child-frame-id 'cam\"; touch x; <b>'" in program.static_transform(found)
     assert "&lt;b&gt;" in program.urdf_joint(found)
 
@@ -395,18 +364,15 @@ def test_a_urdf_of_joints_in_a_ring_ends():
         kinematics(read_joints('<robot name="r"/>'))
 
 
-@pytest.mark.parametrize("stand", ["", "world"])
-def test_what_the_robot_says_of_its_tool_is_no_tag(stand):
-    text = URDF.read_text("utf-8")
-    if stand:
-        text = text.replace(
-            "</robot>",
-            '<joint name="stands" type="fixed"><parent link="world"/><child link="base_link"/>'
-            '<origin xyz="0.5 0 0.8"/></joint></robot>',
-        )
+def test_what_the_robot_says_of_its_tool_is_no_tag():
+    text = URDF.read_text("utf-8").replace(
+        "</robot>",
+        '<joint name="stands" type="fixed"><parent link="world"/><child link="base_link"/>'
+        '<origin xyz="0.5 0 0.8"/></joint></robot>',
+    )
     arm, data, pose = kinematics(read_joints(text)), collected(seconds=20.0), Pose(0.3)
     turns, places_m = arm.tip_at(data.joints_rad)
-    base_m = np.array([0.5, 0.0, 0.8]) if stand else np.zeros(3)
+    base_m = np.array([0.5, 0.0, 0.8])
     half = np.diag([-1.0, -1.0, 1.0])  # as a UR's "base" to its "base_link"
     told = [
         pose.of_body(half @ (place_m - base_m), half @ turn.T)

@@ -64,19 +64,6 @@ def test_noise_turns_no_camera_that_stands(noise_m):
     assert camera.bumps == 0
 
 
-@each("prior", [(0.01, 1000.0), (0.14, 30.0)])
-def test_a_long_way_along_one_line_forgets_nothing(prior):
-    rng, camera, balls = (
-        np.random.default_rng(0),
-        CameraPose(*prior),
-        path(60, np.random.default_rng(1)),
-    )
-    watch(camera, balls, TURNED, np.zeros(3), rng)
-    to_and_fro = balls[-1] + np.outer(np.sin(0.1 * np.arange(3000)), [0.1, 0.0, 0.0])
-    watch(camera, to_and_fro, TURNED, np.zeros(3), rng)
-    assert off_deg(camera, TURNED) < 1.0
-
-
 # --- the estimators ---
 
 

@@ -30,13 +30,8 @@ def lone_ball():
     world.close()
 
 
-@pytest.mark.parametrize(
-    "camera",
-    [VGA, Intrinsics(320, 240, 300.0, 310.0, 150.25, 128.0)],
-    ids=["vga", "odd_principal_point"],
-)
-def test_projection_agrees_to_a_tenth_of_a_pixel(lone_ball, camera):
-    rng = np.random.default_rng(1)
+def test_projection_agrees_to_a_tenth_of_a_pixel(lone_ball):
+    camera, rng = Intrinsics(320, 240, 300.0, 310.0, 150.25, 128.0), np.random.default_rng(1)
     renderer = lone_ball(camera)
     offsets, areas, depths = [], [], []
     for _ in range(30):
@@ -62,7 +57,7 @@ def test_window_equals_crop(world):
     renderer = Renderer(world.client, VGA)
     pose = CAMERAS["front"]
     rng = np.random.default_rng(2)
-    for _ in range(8):
+    for _ in range(3):
         world.reset(CENTRE + HALF_BOX * rng.uniform(-1.0, 1.0, 6))
         world.place_ball()
         whole_rgb, whole_depth = renderer.render(pose)

@@ -129,7 +129,7 @@ ALL = ["good", "good", *SCENES, "jump", "wild joints", "wild ball", "fail", "odd
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numpy, about wild numbers
 @settings(
-    max_examples=120,
+    max_examples=40,
     derandomize=True,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
@@ -258,22 +258,6 @@ def test_a_stall_takes_no_joint_beyond_its_range_and_the_run_goes_on(longest_s, 
         assert run.state is State.DONE, run.reason
         assert beyond <= 0.0
         assert len(run.samples) > 500
-
-
-def test_a_slide_moves_in_proportion_to_its_range_and_its_sentences_say_m():
-    config = sliding_arm()
-    # As a joint of 2 rad: 0.65 rad/s, 3 rad/s^2 and a margin of 0.2 rad of it.
-    np.testing.assert_allclose(config.share, [1.0, 0.09])
-    np.testing.assert_allclose(config.margin_rad, [0.2, 0.018])
-    run = CollectionRun(config)
-    for now_s, slide_m, words in (
-        (5.0, 0.1, "moving"),
-        (5.1, 0.191, "slide left its box or its range: it is at 0.191 m, expected 0.01 to 0.19 m"),
-    ):
-        run.joint_states(now_s, now_s, np.array([0.0, slide_m]))
-        run.image(now_s, now_s, np.array([0.0, 0.0, 1.0]))
-        run.tick(now_s, DT_S)
-        assert words in run.reason
 
 
 @pytest.mark.parametrize("comes_s", [0.5, 4.0], ids=["in time", "in motion"])

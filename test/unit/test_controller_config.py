@@ -15,7 +15,7 @@ from fvs_controller_node.redundancy import DampedInverse
 JACOBIAN = np.random.default_rng(0).normal(size=(3, 6))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     error=st.lists(st.floats(-50.0, 50.0), min_size=3, max_size=3),
     entries=st.lists(st.floats(-20.0, 20.0), min_size=18, max_size=18),

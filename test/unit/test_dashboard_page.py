@@ -66,11 +66,6 @@ def test_a_request_for_a_public_tunnel_is_refused(page, monkeypatch):
     assert page._server.request_share_url() is None
 
 
-def test_a_taken_port_says_how_to_choose_another(page):
-    with pytest.raises(ValueError, match="in use; -p port:=0"):
-        served(int(page.address.rpartition(":")[2]))
-
-
 def test_the_versions_of_viser_are_the_same_everywhere():
     bounds = config.VISER.removeprefix("viser[urdf]")
     for name in ("README.md", "package.xml", "setup.py"):

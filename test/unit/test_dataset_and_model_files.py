@@ -160,11 +160,6 @@ def test_pickles_are_not_opened(kind, written, tmp_path):
     assert not (tmp_path / "trapped").exists()
 
 
-def test_another_joint_order_and_another_frame(kind, written):
-    refused(kind, written, "joint order", joint_names=tuple(sorted(UR_JOINT_NAMES)))
-    refused(kind, written, "expected 'base'", expected=KindConfig("base"))
-
-
 def test_writing_is_all_or_nothing(kind, written, monkeypatch):
     before = written.read_bytes()
 

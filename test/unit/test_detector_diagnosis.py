@@ -40,18 +40,6 @@ def test_what_is_said_of_a_ball_too_dark_or_too_pale_helps(name):
     assert detect_ball(rgb, depth, VGA, RADIUS_M, BallColour(**{name: lower})) is not None
 
 
-@each("nothing", [0.0, np.nan, np.inf])
-def test_no_depth_and_where(nothing):
-    rgb, depth = the_ball()
-    depth[red(rgb)] = nothing
-    rgb[5:9, 5:9] = (200, 20, 20)
-    miss = reason(rgb, depth)
-    assert miss.cause is Cause.NO_DEPTH
-    (u, v), box = VGA.project(CENTRE), miss.box
-    assert box.u0 < u < box.u0 + box.width
-    assert box.v0 < v < box.v0 + box.height
-
-
 def mostly_hidden(rgb, depth):
     columns = np.flatnonzero(red(rgb).any(axis=0))
     hide(rgb, depth, np.s_[:, : columns[int(0.8 * len(columns))]])

@@ -98,24 +98,3 @@ def test_the_window_holds_a_ball_that_moves_as_fast_as_an_arm_can_and_is_no_larg
     assert once.region(dt_s).width < 200
     assert holds(twice, 2 * dt_s, HERE + 12.0 * dt_s**2 * way)
     assert twice.region(2 * dt_s).width < 120
-
-
-def test_a_small_ball_has_room_in_its_window_and_one_behind_the_camera_none():
-    far = tracker_of([0.0, 0.0, 8.0], [0.0, 0.0, 8.0], dt_s=0.01)
-    assert far.region(0.02).width >= 2 * (3 + 3)  # 3 pixels of radius, and a margin
-    assert tracker_of([0.0, 0.0, 0.20], [0.0, 0.0, 0.18]).region(2 / 15) is not None
-    assert tracker_of([0.0, 0.0, 0.20], [0.0, 0.0, 0.12]).region(2 / 15) is None
-
-
-def test_a_ball_that_the_window_cuts_off_is_looked_for_elsewhere():
-    tracker, asked = tracker_of(HERE, HERE, dt_s=DT), []
-    edge = tracker.region(2 * DT)
-    for place_px, wider in ((edge.u0 + 10.0, True), (edge.u0 + 25.0, False)):
-        seen = HERE + [(place_px - CAMERA.cx) * HERE[2] / CAMERA.fx, 0.0, 0.0]
-        asked.clear()
-        tracker.find(
-            2 * DT,
-            lambda _region, seen=seen: BallDetection(seen, 1.0, 1.0, 0.0, 20.0),
-            lambda: asked.append(1),
-        )
-        assert bool(asked) is wider

@@ -9,8 +9,7 @@ from cases import each
 from drawn_balls import RADIUS_M, VGA, draw, hide
 
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detector import BallDetector, annotate
-from fvs_detector_node.images import Rectifier, Region
+from fvs_detector_node.detector import BallDetector
 from fvs_ros.camera import CameraModel, camera_model
 
 PINHOLE = CameraModel(VGA)
@@ -125,34 +124,4 @@ def test_a_calibration_may_lack_distortion_or_cut_a_region_out():
     assert camera.intrinsics == dataclasses.replace(VGA, width=320, height=240, cx=219.5, cy=189.5)
 
 
-@each(
-    ("names", "coefficients"),
-    [
-        (("plumb_bob", "rational_polynomial"), LENSES[1][1]),
-        (("plumb_bob", "rational_polynomial"), (*LENSES[1][1], *(0.001,) * 6)),
-        (("equidistant", "fisheye"), LENSES[2][1]),
-        (("equidistant", "fisheye"), (*LENSES[2][1], 0.0)),
-    ],
-)
-def test_drivers_name_lenses_in_several_ways(names, coefficients):
-    one, other = (camera_model(640, 480, K, name, coefficients) for name in names)
-    assert one.distorts
-    rgb, _ = ball(CENTRE)
-    first, second = (Rectifier(it).colour(rgb, Region.whole(VGA)) for it in (one, other))
-    assert (first == second).all()
-    assert (first != rgb).any()
-
-
 # ------------------------------------------------------------------------------- annotation
-def test_the_annotated_image_shows_the_ball_where_it_is_or_says_why_there_is_none():
-    rgb, depth = ball(CENTRE)
-    sighting = detector().look(0.0, rgb, depth, PINHOLE)
-    changed = (annotate(rgb, sighting, VGA) != rgb).any(axis=-1)
-    u, v = np.round(VGA.project(CENTRE)).astype(int)
-    assert changed[v, u]
-    assert changed[v, u + round(sighting.found.radius_px)]
-    assert changed[:40].any()  # the text
-    assert not changed[300:].any()
-    rgb, depth = ball()
-    picture = annotate(rgb, detector().look(0.0, rgb, depth, PINHOLE), VGA)
-    assert (picture != rgb)[:100].any()

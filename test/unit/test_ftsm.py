@@ -28,7 +28,7 @@ SIGNED = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(
     s=SIGNED,
     k1=st.floats(0.01, 100.0),
@@ -51,7 +51,7 @@ def test_the_next_sliding_value_solves_its_equation(*, s, k1, k2, k4, sigma, dt)
     assert p <= abs(s)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(
     y=SIGNED.filter(lambda y: abs(y) < 1.0),
     s_next=SIGNED,

@@ -122,17 +122,6 @@ def test_what_cameras_send_comes_out_red_first(encoding):
         assert np.abs(decoded.astype(int) - expected).max() <= 3
 
 
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize(("encoding", "bits"), [("mono16", 16), ("mono16", 12), ("rgb16", 10)])
-def test_of_16_bits_the_highest_that_are_used_count(order, encoding, bits):
-    values = np.array([[0, 1 << (bits - 2), (1 << bits) - 1]] * 2).repeat(
-        1 + 2 * (encoding == "rgb16"), 1
-    )
-    rows = np.pad(values.astype(f"{order}u2"), ((0, 0), (0, 1)))
-    message = image(rows.tobytes(), 3, 2, rows.shape[1] * 2, encoding, order == ">")
-    assert from_color(message)[..., 1].tolist() == [[0, 64, 255]] * 2
-
-
 PICTURE = np.full((24, 32, 3), (200, 60, 10), np.uint8)
 PICTURE[:, 16:] = (20, 60, 210)
 #: Columns that a jpeg's coarse colours do not blur.
@@ -173,7 +162,7 @@ def decoded(message):
 
 
 @given(st.data(), st.booleans())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_whatever_comes_is_an_image_of_its_size_or_an_error(data, fitting):
     sizes = st.integers(0, 40) | st.integers(0, 40 if fitting else 2**32 - 1)
     width, height, step = data.draw(sizes), data.draw(sizes), data.draw(sizes)
@@ -197,7 +186,7 @@ def test_whatever_comes_is_an_image_of_its_size_or_an_error(data, fitting):
     st.integers(0, 500),
     st.sampled_from(["png", "rgb8; jpeg compressed bgr8", "16UC1; compressedDepth png", "32FC1"]),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_a_damaged_file_is_an_image_or_an_error(file, flips, length, image_format):
     damaged = bytearray(file)
     for at, value in flips:

@@ -117,14 +117,6 @@ def test_limits_that_are_not_given_are_those_of_the_urdf():
     np.testing.assert_array_equal(own.share, [1.0, 1.0, 0.5])  # the lift's range is 1 m
 
 
-def test_without_a_urdf_only_a_ur_has_known_ranges():
-    assert JointLimits().ranges_known
-    assert JointLimits().upper_rad[2] == np.pi
-    unknown = JointLimits(joint_names=NAMES)
-    assert not unknown.ranges_known
-    assert not unknown.near_end(np.array([9.0, -9.0, 50.0]))
-
-
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -136,12 +128,6 @@ def test_without_a_urdf_only_a_ur_has_known_ranges():
 def test_limits_that_contradict_each_other_are_refused(given, words):
     with pytest.raises(ParameterError, match=words):
         described_limits(**given)
-
-
-@pytest.mark.parametrize("name", ["fixed", "unknown"])
-def test_a_joint_that_the_urdf_does_not_move_is_named(name):
-    with pytest.raises(ParameterError, match=f"no moving joint {name}"):
-        with_urdf_limits({**vars(JointLimits()), "joint_names": ["base", name]}, URDF)
 
 
 def test_slower_joints_are_limited_in_proportion():

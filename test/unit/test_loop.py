@@ -107,30 +107,8 @@ def test_an_overtaken_target_is_passed_over_whether_the_newer_one_stands_or_move
     np.testing.assert_allclose(servoing.target_m, newer, atol=1e-9)
 
 
-def test_the_posture_to_come_back_to_is_that_of_the_last_start(servoing):
-    servoing.joints = HOME + 0.05
-    servoing.loop.supervisor.inputs["joint_states"].bad("a hold that ends by itself")
-    servoing.tick(20)
-    np.testing.assert_array_equal(servoing.given[-1].home_rad, HOME)
-    servoing.loop.supervisor.stop()
-    servoing.tick(50)
-    servoing.start()
-    servoing.tick()
-    np.testing.assert_array_equal(servoing.given[-1].home_rad, HOME + 0.05)
-
-
-def test_beyond_the_workspace_the_arm_does_not_follow_a_target(servoing):
-    edge_m = servoing.loop.supervisor.config.workspace_max_m[0]
-    for k in range(10):
-        assert servoing.target(np.array([edge_m - 0.003 * (9 - k), 0.0, 1.2]))
-        servoing.tick()
-    assert servoing.given[-2].feed_forward_rad_s is not None  # while it was inside
-    assert servoing.given[-1].feed_forward_rad_s is None  # by now it would be outside
-    assert servoing.target_m[0] <= edge_m
-
-
 @each("law", LAWS)
-@each(("features", "joints"), [(1, 1), (2, 6), (3, 2), (3, 7), (6, 7), (8, 6)])
+@each(("features", "joints"), [(1, 1), (3, 2), (6, 7)])
 def test_every_law_drives_any_number_of_features_with_any_number_of_joints(
     monkeypatch, law, features, joints
 ):
@@ -153,7 +131,7 @@ def test_every_law_drives_any_number_of_features_with_any_number_of_joints(
     rng = np.random.default_rng(features + joints)
     jacobian, moved = rng.normal(size=(features, joints)), np.zeros(joints)
     target = jacobian @ rng.uniform(-0.2, 0.2, joints)
-    for tick in range(400):
+    for tick in range(300):
         now_s = DT_S * tick
         if tick % 4 == 0:
             loop.add_image(now_s, now_s, jacobian @ moved)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from cases import each
 
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 
@@ -30,21 +31,9 @@ def follow(one, duration_s=None, lag_s=0.0, start=HOME, events=()):
     return np.array(all_joints), np.array(commands)
 
 
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("lag_s", [0.0, 0.05])
-def test_speed_acceleration_and_box_are_kept(seed, lag_s):
-    one = motion(seed)
-    joints, commands = follow(one, lag_s=lag_s)
-    assert np.abs(commands).max() <= 0.65 + 1e-12
-    assert np.abs(np.diff(commands, axis=0, prepend=0.0)).max() / DT_S <= 3.0 + 0.6
-    assert np.all(np.abs(joints - HOME) <= np.array(HALF) + 0.03)
-    assert np.abs(joints - HOME).max(axis=0).min() > 0.45
-
-
-@pytest.mark.parametrize("half", [HALF, (0.05,) * 6])
-@pytest.mark.parametrize("seed", range(2))
-def test_it_visits_every_part_of_every_pair_of_joints_evenly(seed, half):
-    unit = (follow(motion(seed, joint_range_rad=half))[0] - HOME) / half
+@each("half", [HALF, (0.05,) * 6])
+def test_it_visits_every_part_of_every_pair_of_joints_evenly(half):
+    unit = (follow(motion(joint_range_rad=half))[0] - HOME) / half
     for i in range(6):
         for j in range(i):
             counts, _, _ = np.histogram2d(unit[:, i], unit[:, j], 3, [[-1, 1], [-1, 1]])

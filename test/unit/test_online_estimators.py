@@ -14,7 +14,6 @@ from fvs_estimator_node.rbf import RbfModel
 from fvs_estimator_node.registry import (
     create_estimator,
 )
-from fvs_ros.kinds.ball import Ball
 
 ONLINE = ("lkf", "ukf", "rls")
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
@@ -151,12 +150,10 @@ _STEPS = st.lists(
 )
 
 
-@pytest.mark.parametrize("initial", ["model", "zero"])
-@pytest.mark.parametrize("method", [*ONLINE, "rbf"])
-@settings(deadline=None, max_examples=60)
-@given(steps=_STEPS)
-def test_no_sequence_of_steps_makes_a_jacobian_that_is_not_finite(method, initial, steps):
-    estimator = create_estimator(method, random_model(), {"online.initial": initial})
+@settings(deadline=None, max_examples=150)
+@given(steps=_STEPS, method=st.sampled_from([*ONLINE, "rbf"]))
+def test_no_sequence_of_steps_makes_a_jacobian_that_is_not_finite(method, steps):
+    estimator = create_estimator(method, random_model(), {})
     for step in steps:
         estimator.update(step)
         assert np.all(np.isfinite(estimator.jacobian(HOME)))
@@ -185,17 +182,3 @@ def test_it_starts_from_the_model_at_the_first_joints_and_reset_starts_again(met
     asked.reset()
     assert (asked.updates, asked.refused, asked.covariance.size) == (0, 0, 0)
     np.testing.assert_allclose(asked.jacobian(later), model.jacobian(later))
-
-
-@each("method", ONLINE)
-@each("m", [2, 4])
-def test_a_start_from_zero_has_the_features_of_the_networks(method, m):
-    networks = RbfModel(np.zeros((6, 1, 6)), np.ones((6, 1)), np.ones((6, m, 1)))
-
-    class Numbers(Ball):
-        axes = tuple("abcd"[:m])
-
-    estimator = create_estimator(method, networks, ZERO, kind=Numbers())
-    np.testing.assert_array_equal(estimator.jacobian(HOME), np.zeros((m, 6)))
-    estimator.update(MotionStep(1.0, 0.03, HOME, 0.01 * np.eye(6)[0], np.full(m, 0.002)))
-    assert estimator.updates == 1

@@ -42,16 +42,6 @@ def test_manifest_names_every_ros_package_that_is_imported(manifest):
     assert used <= declared
 
 
-def test_version_license_and_maintainer_are_the_same_everywhere(manifest, setup_arguments):
-    newest = re.search(
-        r"^(\d+\.\d+\.\d+) \(.+\)\n-+$", (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8"), re.M
-    )
-    assert manifest.findtext("version") == setup_arguments["version"] == newest.group(1)
-    assert manifest.findtext("license") == setup_arguments["license"]
-    assert manifest.findtext("maintainer") == setup_arguments["maintainer"]
-    assert manifest.find("maintainer").attrib["email"] == setup_arguments["maintainer_email"]
-
-
 def test_entry_points_exist(setup_arguments):
     for script in setup_arguments["entry_points"]["console_scripts"]:
         module, _, function = script.partition("=")[2].partition(":")

@@ -1,6 +1,5 @@
 """What goes into a bag, and the bag itself, read back by another's reader."""
 
-import importlib.util
 from dataclasses import replace
 
 import pytest
@@ -14,17 +13,6 @@ from replayed_bags import message
 from fvs_tools.bag import TYPES, Message, SimulatedTime
 
 # --- the launcher ---
-
-
-def test_without_rosbags_nothing_is_started(tmp_path, monkeypatch, capsys):
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "rosbags" else find(name)
-    )
-    assert launcher.main(["servo", "--record", str(tmp_path / "bag")]) == 2
-    error = capsys.readouterr().err
-    assert "elsewhere, pip install rosbags" in error
-    assert ".venv/bin/pip install -c constraints.txt -e '.[record,lab]'" in error
 
 
 def test_a_recorder_that_cannot_begin_ends_the_launch(tmp_path, monkeypatch, capfd):

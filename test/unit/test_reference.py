@@ -98,3 +98,11 @@ def test_a_policy_for_a_namespace_is_written_anywhere(tmp_path):
     path = tmp_path / "policy.xml"
     assert reference.main(["--policy", str(path), "--namespace", "left"]) == 0
     assert "/left/fvs_controller_node" in profiles(path.read_text(encoding="utf-8"))
+
+
+def test_a_node_may_use_all_that_it_declares():
+    rules = profiles(policy())
+    for node in NODES:
+        for verb, ends in (("publish", contract.publishers), ("subscribe", contract.subscribers)):
+            may = allowed(rules[f"/{node}"], "topic", verb)
+            assert "/*" in may or {resolve(topic.name, node) for topic in ends(node)} <= may

@@ -6,16 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pybullet
-import pybullet_data
 import pytest
 from ur5_dh import axes_origins_ball, flange_pose
 
 from fvs_detector_node.detection import BallColour, colour_mask
 from fvs_ros.joints import UR_JOINT_NAMES
-from fvs_ros.paths import find_mesh
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.robot import ROBOTS, Robot, robot_description
-from fvs_sim_node.simulation import Simulation
 from fvs_sim_node.world import World
 
 UR5 = ROBOTS["ur5"]
@@ -57,31 +54,6 @@ def test_the_ur5_has_inertias_limits_and_nothing_of_the_balls_colour(world):
     np.testing.assert_allclose(world.upper_rad, np.array([2, 2, 1, 2, 2, 2]) * np.pi)
     np.testing.assert_allclose(world.lower_rad, -world.upper_rad)
     np.testing.assert_allclose(world.max_speed_rad_s, np.pi)
-
-
-def test_an_arm_of_seven_joints_is_simulated_from_its_urdf_alone():
-    path = Path(pybullet_data.getDataPath()) / "kuka_iiwa" / "model.urdf"
-    joints = (0.1, 0.5, 0.0, -1.2, 0.2, 0.8, 0.1)
-    config = SimConfig(urdf_path=str(path), ball_link="lbr_iiwa_link_7", initial_joints_rad=joints)
-    with Simulation(config) as simulation:
-        velocity = 0.1 * np.ones(7)
-        assert simulation.command(velocity) is None
-        for _ in range(50):
-            step = simulation.advance()
-        np.testing.assert_allclose(step.joint_velocities_rad_s, velocity, atol=1e-3)
-        before_m, before = simulation.true_ball_position(), step.joints_rad
-        step = simulation.advance()
-        moved_m = simulation.true_jacobian(before) @ (step.joints_rad - before)
-        np.testing.assert_allclose(simulation.true_ball_position() - before_m, moved_m, atol=1e-6)
-        assert "6 values" in simulation.command(np.zeros(6))
-
-
-def test_a_mesh_that_is_named_absolutely_needs_no_ros(tmp_path, monkeypatch):
-    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
-    mesh = tmp_path / "part.stl"
-    assert find_mesh(f"file://{mesh}") is None
-    mesh.touch()
-    assert find_mesh(f"file://{mesh}") == mesh
 
 
 def test_a_urdf_without_its_meshes_is_simulated_with_cubes(tmp_path):

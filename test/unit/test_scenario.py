@@ -10,7 +10,6 @@ from fvs_tools.scenario import (
     MARKERS,
     RECORDER,
     checked_remap,
-    enclave_arguments,
     load_scenario,
     params_yaml,
 )
@@ -85,10 +84,6 @@ def test_a_scheme_sets_method_and_law_and_an_override_wins(one):
     assert other["fvs_estimator_node"]["method"] == one.method
 
 
-def test_the_best_scenario_is_the_demo_with_the_best_scheme():
-    assert load_scenario("best") == load_scenario("demo", ["output_dir:=out/best"], "best")
-
-
 def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
     overrides = ["use_sim_time:=true", "fvs_controller_node:feature_frame:=eye", "law:=mfac"]
     loop = load_scenario("demo", overrides)
@@ -106,13 +101,6 @@ def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
 def test_what_is_no_remap_rule_is_refused(rule):
     with pytest.raises(ValueError, match="not of the form"):
         checked_remap(rule)
-
-
-def test_nodes_get_their_enclave_only_where_security_is_on():
-    on = {"ROS_SECURITY_ENABLE": "true"}
-    assert enclave_arguments("a_node", "", on) == ["--enclave", "/a_node"]
-    assert enclave_arguments("a_node", "/left/arm", on) == ["--enclave", "/left/arm/a_node"]
-    assert enclave_arguments("a_node", "left", {"ROS_SECURITY_ENABLE": "false"}) == []
 
 
 @each("name", ["ur5_real", "ur5_real_collect"])

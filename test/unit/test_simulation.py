@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import each
 
-from fvs_sim_node.camera import CameraPose
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_sim_node.simulation import Simulation
 
 PERIOD_S = 0.008
@@ -65,31 +64,13 @@ def test_time_rates_and_latency(make):
 
 
 # ---------------------------------------------------------------------- commands
-def test_what_may_change_changes_at_once(make):
-    simulation = make(rendered=False, speed_scaling_percent=50.0)
-    last = run(simulation, 80, np.full(6, 0.2))[-1]
-    np.testing.assert_allclose(last.joint_velocities_rad_s, 0.1, atol=1e-3)
-    change(simulation, speed_scaling_percent=100.0, joint_lag_s=0.2)
-    assert np.all(run(simulation, 5)[-1].joint_velocities_rad_s < 0.15)
-    for dead_time_s in (0.0, 0.024, 0.1):
-        change(simulation, joint_lag_s=0.0, dead_time_s=dead_time_s)
-        simulation.reset()
-        steps = run(simulation, 30, np.full(6, 0.3))
-        began_s = next(s.time_s for s in steps if np.all(s.joint_velocities_rad_s > 1e-3))
-        assert dead_time_s < began_s <= dead_time_s + 2.0 * PERIOD_S + 1e-9
-    for share, least, most in ((0.5, 15, 45), (1.0, 0, 0)):
-        change(simulation, dropout=share, latency_s=0.0)
-        assert least <= len(observations(run(simulation, 250))) <= most
-
-
 # ---------------------------------------------------------------------- the ball
-@pytest.mark.parametrize("size", [(640, 480), (320, 240)])
-def test_the_ball_comes_from_the_image(make, size):
-    simulation = make(image_width=size[0], image_height=size[1])
-    assert simulation.intrinsics.fx == pytest.approx(615.0 * size[0] / 640)
+def test_the_ball_comes_from_the_image(make):
+    simulation = make(image_width=320, image_height=240)
+    assert simulation.intrinsics.fx == pytest.approx(307.5)
     seen = observations(drive_waves(simulation, 125))
     errors = [np.linalg.norm(o.z - o.true_position_m) for o in seen]
-    assert 0.0 < np.sqrt(np.mean(np.square(errors))) < 1.5e-3 * 640 / size[0]
+    assert 0.0 < np.sqrt(np.mean(np.square(errors))) < 3e-3
 
 
 def assert_white(errors, deviation):
@@ -100,10 +81,9 @@ def assert_white(errors, deviation):
         assert np.abs(apart).max() < many
 
 
-@pytest.mark.parametrize(("rendered", "images"), [(True, 100), (False, 1000)])
-def test_position_noise_is_white_on_each_axis(make, rendered, images):
-    simulation = make(position_noise_m=0.01, depth_noise=0.0, rendered=rendered)
-    seen = [simulation.look() for _ in range(images)]
+def test_position_noise_is_white_on_each_axis(make):
+    simulation = make(position_noise_m=0.01, depth_noise=0.0, rendered=False)
+    seen = [simulation.look() for _ in range(1000)]
     assert_white(np.array([o.z - o.true_position_m for o in seen]), 0.01)
 
 
@@ -131,7 +111,7 @@ def test_a_position_drive_follows_and_refuses_what_is_far_away(make):
     np.testing.assert_allclose(simulation.joints_rad, start + way, atol=1e-3)
 
 
-@pytest.mark.parametrize("rendered", [True, False])
+@each("rendered", [True, False])
 def test_a_ball_out_of_view_or_behind_a_hand_is_lost_and_found_again(make, rendered):
     simulation = make(rendered=rendered)
     for lost in (
@@ -147,27 +127,6 @@ def test_a_ball_out_of_view_or_behind_a_hand_is_lost_and_found_again(make, rende
 
 
 # ------------------------------------------------------------------------- truth
-def test_an_own_camera_that_is_bumped_turns_about_itself(make):
-    pose = CameraPose.looking((1.4, -0.9, 0.8), (0.4, 0.1, 0.3))
-    simulation = make(camera_pose=pose, depth_noise=0.0)
-    joints = np.add(HOME_JOINTS_RAD, 0.1)
-    simulation.reset(joints)
-    assert simulation.time_s == 0.0
-    chain = simulation.world.chain
-    for turned_deg in (0.0, 10.0):
-        change(simulation, camera_rotation_deg=(0.0, 0.0, turned_deg))
-        c, s = np.cos(np.deg2rad(turned_deg)), np.sin(np.deg2rad(turned_deg))
-        view = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ pose.rotation.T
-        ball_m = view @ (chain.position(joints) - pose.position_m)
-        np.testing.assert_allclose(simulation.true_ball_position(), ball_m, atol=1e-6)
-        jacobian = view @ chain.jacobian(joints)
-        np.testing.assert_allclose(simulation.true_jacobian(joints), jacobian, atol=1e-6)
-        simulation.reset(joints)
-        np.testing.assert_allclose(simulation.look().detection.position_m, ball_m, atol=1e-3)
-    with pytest.raises(ValueError, match="6 finite"):
-        simulation.reset([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
-
-
 # ------------------------------------------------------------------- determinism
 def trace(simulation):
     steps = drive_waves(simulation, 60)

@@ -5,21 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
-from recordings import random_rotation, relative_error, seen_from_anywhere
+from recordings import relative_error, seen_from_anywhere
 from scipy.spatial.transform import Rotation
-from test_calibration import ARM, CAMERA, TAG, URDF, collected, errors
+from test_calibration import ARM, TAG, collected, errors
 from test_recorded import T, message
 
-from bench import bench_real
 from fvs_estimator_node.calibration import CalibrationError
 from fvs_estimator_node.chain_fit import ChainFitError, fit_chain
-from fvs_estimator_node.files import DataSet, load_data_set, load_model, save_data_set
+from fvs_estimator_node.files import DataSet, load_data_set, save_data_set
 from fvs_estimator_node.hand_eye import calibrate
-from fvs_ros.chain import SerialChain
-from fvs_ros.kinds.pose import Pose
-from fvs_tools import calibrate as calibrating
-from fvs_tools import train as training
 from fvs_tools.bag import Bag
 from fvs_tools.recorded import read_data_set
 from fvs_tools.table import read_table
@@ -29,7 +23,7 @@ POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 def stills(feature="pose", on_arm=False, count=30):
     """Some images of a motion, each as of an arm that stood still."""
-    data = collected(feature, on_arm=on_arm)
+    data = collected(feature, on_arm=on_arm, seconds=60.0)
     some = np.linspace(0, len(data) - 1, count).astype(int)
     columns = {name: getattr(data, name)[some] for name in ("stamps_s", "joints_rad", "ball_m")}
     return replace(data, **columns, segment=np.arange(count), still=True)
@@ -43,16 +37,6 @@ def test_still_poses_tell_where_the_camera_is(feature, on_arm):
     assert off_rad < np.radians(0.1)
     assert found.verdict[0] != "unusable"
     assert found.delay_deviation_s > 0.05  # arms at rest do not tell
-
-
-def test_a_joint_may_be_at_rest_in_still_poses():
-    data = stills()
-    joints = data.joints_rad.copy()
-    joints[:, 4] = joints[0, 4]
-    chain = ARM.chain(Pose(0.3).of_body(ARM.tip_m, ARM.tip_rotation))
-    seen = chain.moved(CAMERA.rotation.T, -CAMERA.rotation.T @ CAMERA.position_m).position(joints)
-    found = calibrate(replace(data, joints_rad=joints, ball_m=seen), ARM)
-    assert errors(found)[0] < 1e-4
 
 
 def degrees(data):
@@ -90,22 +74,6 @@ def test_a_chain_is_fitted_to_still_poses(tmp_path):
     few = replace(data, **few, segment=np.arange(20))
     with pytest.raises(ChainFitError, match="at least 27 still poses, the data set has 20"):
         fit_chain(few)
-
-
-def test_a_prismatic_joint_is_found_in_still_poses():
-    """Of a SCARA arm, before a camera that is turned anyhow."""
-    rng, upright = np.random.default_rng(0), np.tile([0.0, 0.0, 1.0], (4, 1))
-    points_m = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.6, 0.0, 0.0], [0.6, 0.0, 0.0]])
-    tag = Pose(0.3).of_body(np.array([0.65, 0.03, 0.2]), TAG[1])
-    chain = SerialChain(upright, points_m, tag, np.zeros(4), np.array([0.0, 0.0, 1.0, 0.0]))
-    chain = chain.moved(random_rotation(rng), np.array([0.0, 0.0, 1.5]))
-    joints = rng.uniform(-1.0, 1.0, (60, 4)) * [0.8, 0.8, 0.1, 1.0]
-    seen = chain.position(joints) + rng.normal(0.0, 1e-3, (60, 12))
-    fit = fit_chain(
-        DataSet(np.arange(60.0), joints, seen, np.arange(60), feature="pose", still=True)
-    )
-    assert fit.chain.prismatic.tolist() == [0.0, 0.0, 1.0, 0.0]
-    assert np.median(relative_error(fit.chain.jacobian(joints), chain.jacobian(joints))) < 0.006
 
 
 def test_a_bag_of_still_poses_leaves_out_images_in_motion(tmp_path):
@@ -152,21 +120,9 @@ def hands(joints):
     return poses(places_m, np.swapaxes(turns, 1, 2))
 
 
-def test_a_table_of_joints_and_tag_poses_calibrates_a_camera(tmp_path, capsys):
-    data = stills()
-    rows = np.hstack([data.joints_rad, images_of(data)])
-    table = write(tmp_path / "stills.csv", [*ARM.names, *POSE], rows)
-    output = tmp_path / "camera.yaml"
-    assert calibrating.main([str(table), "--urdf", str(URDF), "-o", str(output)]) == 0
-    place_m = yaml.safe_load(output.read_text())["translation_m"]
-    np.testing.assert_allclose(place_m, CAMERA.position_m, atol=2e-3)
-    assert calibrating.main([str(table), "-o", str(output)]) == 2
-    assert "behind --urdf" in capsys.readouterr().err
-
-
 def test_a_table_of_hand_poses_needs_no_urdf_and_no_common_clock(tmp_path):
     """Hand and tag at rates of their own, in lines of their own, with images 20 ms late."""
-    data, hand = collected("pose", delay_s=0.02), [f"hand_{one}" for one in POSE]
+    data, hand = collected("pose", delay_s=0.02, seconds=60.0), [f"hand_{one}" for one in POSE]
     nothing = np.full((len(data), 7), np.nan)
     of_hand = np.hstack([data.stamps_s[:, None], hands(data.joints_rad), nothing])
     of_image = np.hstack([data.stamps_s[:, None], nothing, images_of(data)])[::2]
@@ -181,16 +137,6 @@ def test_a_table_of_hand_poses_needs_no_urdf_and_no_common_clock(tmp_path):
     assert found.delay_s == pytest.approx(0.019, abs=1e-3)
     np.testing.assert_allclose(found.carried_m, TAG[0], atol=2e-3)
     np.testing.assert_array_less(np.abs(found.zeros_rad), 1e-5)
-
-
-def test_a_table_trains_a_model(tmp_path):
-    data = stills("ball", count=60)
-    rows = np.hstack([data.joints_rad, data.ball_m])
-    table, model = write(tmp_path / "a.csv", [*ARM.names, *POSE[:3]], rows), tmp_path / "model.npz"
-    assert training.main([str(table), "-o", str(model), "--method", "poe", "--neurons", "9"]) == 0
-    trained = load_model(model)
-    assert trained.joint_names == ARM.names
-    assert trained.errors["residual_m"] < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -215,9 +161,3 @@ def test_a_table_that_cannot_be_read_is_refused_in_words(tmp_path, text, words):
     with pytest.raises(ValueError, match=words) as error:
         read_table(path)
     assert str(path) in str(error.value)
-
-
-def test_recordings_that_are_not_there_are_skipped_in_words(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["real", str(tmp_path)])
-    bench_real.main()
-    assert capsys.readouterr().out.count("skipped: there is no folder") == len(bench_real.NOTES)

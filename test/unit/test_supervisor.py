@@ -383,23 +383,6 @@ def test_settled_means_near_for_a_while_and_the_status_gives_numbers():
 # ---- how fast -----------------------------------------------------------------------------------
 
 
-def test_the_velocity_limit_scales_the_whole_vector_and_a_joint_near_its_end_is_slowed_alone():
-    cell = servoing()
-    cell.wanted = 10.0 * WANTED
-    command = cell.run(0.5)
-    np.testing.assert_allclose(command.velocity_rad_s, 0.9999 * WANTED / 0.5)
-    assert command.active_limit == "velocity"
-    cell = servoing()
-    cell.follows, cell.joints = 0.0, np.array([2 * np.pi - 0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
-    cell.inputs.add_speed_scaling(cell.now_s, 0.1)  # it stands, and nothing is asked of it
-    command = cell.run(0.2)
-    assert command.velocity_rad_s[0] == pytest.approx(0.1)  # 1 rad/s * 0.02 / 0.2
-    np.testing.assert_allclose(command.velocity_rad_s[1:], WANTED[1:])
-    assert command.active_limit == "range of shoulder_pan_joint"
-    cell.joints = -cell.joints
-    np.testing.assert_allclose(cell.run(0.2).velocity_rad_s, WANTED)  # away from it
-
-
 def test_near_a_singularity_it_slows_down_and_a_hold_has_hysteresis():
     cell = servoing()
     cell.wanted, speeds = 10.0 * WANTED, []

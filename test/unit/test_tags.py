@@ -6,7 +6,6 @@ import pytest
 from drawn_tags import SIZE_M, VGA, corners_px, draw, random_pose
 
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detector import annotate
 from fvs_detector_node.tag_corners import Corners, TagReader
 from fvs_detector_node.tag_detector import TagDetector
 from fvs_detector_node.tag_pose import PoseFinder
@@ -42,19 +41,6 @@ def look(detector, rgb, stamp_s=0.0):
 
 
 # --- corners ---
-
-
-def test_drawn_corners_are_found_to_a_twentieth_of_a_pixel():
-    rng = np.random.default_rng(0)
-    off = []
-    for _ in range(60):
-        pose = random_pose(rng)
-        found, _ = TagReader(TAG).find(grey([(0, *pose)], rng=rng))
-        if found:  # the smallest and most tilted ones are not readable
-            off.append(found[0].px - corners_px(*pose))
-    assert len(off) > 50
-    assert np.sqrt(np.square(off).mean()) < 0.05
-    assert np.abs(np.mean(off, axis=0)).max() < 0.02  # no corner is drawn inwards
 
 
 @pytest.mark.parametrize("name", ["4X4_50", "APRILTAG_16h5", "ARUCO_ORIGINAL"])
@@ -163,20 +149,19 @@ def test_a_number_that_the_family_lacks_is_refused():
 # --- the pose ---
 
 
-@pytest.mark.parametrize("noise_px", [0.03, 0.1])
-def test_of_two_poses_that_fit_the_wrong_one_is_never_taken(noise_px):
+def test_of_two_poses_that_fit_the_wrong_one_is_never_taken():
     rng = np.random.default_rng(1)
     finder, unsure = PoseFinder(TAG), 0
-    for k in range(3000):
+    for k in range(1500):
         rotation, position_m = random_pose(rng)
-        seen = {0: corners(corners_px(rotation, position_m), noise_px, rng)}
+        seen = {0: corners(corners_px(rotation, position_m), 0.1, rng)}
         pose, _ = finder.find(float(k), seen, VGA)
         if pose is None:
             unsure += 1
             continue
         # Squarely seen, poses up to 0.2 rad apart may be one, in the noise.
         assert angle_rad(pose.rotation, rotation) < 0.25
-    assert unsure < 0.2 * 3000
+    assert unsure < 0.2 * 1500
 
 
 def test_a_tag_seen_squarely_is_certain_only_after_a_view_at_an_angle():
@@ -195,20 +180,6 @@ def test_a_tag_seen_squarely_is_certain_only_after_a_view_at_an_angle():
     assert find(9.0, 0.2) is None
 
 
-def test_a_tag_that_turns_through_the_square_view_is_not_taken_for_its_mirror_image():
-    seen = 0
-    for seed in range(10):
-        finder, rng = PoseFinder(TAG), np.random.default_rng(seed)
-        for k, tilt_rad in enumerate(np.linspace(0.75, -0.75, 61)):
-            rotation = turned(tilt_rad)
-            px = corners(corners_px(rotation, 1.5 * MIDDLE), 0.05, rng)
-            pose, _ = finder.find(k / 30.0, {0: px}, VGA)
-            if pose is not None:
-                seen += 1
-                assert angle_rad(pose.rotation, rotation) < 0.25
-    assert seen > 450
-
-
 def depth_of(rotation, position_m, rng, noise_m=0.002, bias=1.02):
     v, u = np.mgrid[: VGA.height, : VGA.width]
     normal = rotation[:, 2]
@@ -222,7 +193,7 @@ def parts_of(depth_m):
 
 def test_depth_tells_two_poses_apart_or_leaves_it_open():
     rng, decided = np.random.default_rng(5), 0
-    for _ in range(300):
+    for _ in range(150):
         tilt_rad, way = rng.uniform(0.0, 0.4), rng.uniform(0.0, 2 * np.pi)
         rotation = turned(tilt_rad, (np.cos(way), np.sin(way), 0.0))
         finder, position_m = PoseFinder(TAG), 1.5 * MIDDLE
@@ -235,7 +206,7 @@ def test_depth_tells_two_poses_apart_or_leaves_it_open():
         if pose is not None:
             decided += 1
             assert angle_rad(pose.rotation, rotation) < max(0.2, tilt_rad)
-    assert decided > 150
+    assert decided > 75
 
 
 def test_position_and_rotation_are_exact_without_noise():
@@ -305,17 +276,6 @@ def test_a_wrong_layout_is_refused_for_good():
     assert finder.find(2.0, twisted, VGA)[0] is None
 
 
-def test_a_plate_is_whole_again_after_an_image_with_one_tag():
-    tag, rng = Tag(tag_size_m=SIZE_M, tag_layout="plate"), np.random.default_rng(7)
-    detector = TagDetector(DetectorConfig(feature="pose", tag=tag))
-    seen = []
-    for k, hidden in enumerate([(), (1, 2, 3), ()]):
-        image = drawn_body(tag, turned(0.5), 0.8 * MIDDLE, rng, hidden)
-        found = look(detector, np.repeat(image[..., None], 3, axis=2), k / 30.0).found
-        seen.append(len(found.corners_px))
-    assert seen == [4, 1, 4]
-
-
 def test_the_tags_of_a_cube_are_its_print_folded_back():
     tag = Tag(tag_layout="cube", tag_id=7)
     half_m = 0.5 * tag.pitch_m
@@ -346,14 +306,6 @@ def test_a_drawn_tag_is_followed_through_a_small_window():
     far = look(detector, draw([(0, turned(0.5), MIDDLE + [-0.3, 0.1, 0.0])]), 20 / 30.0)
     assert "jump" in far.problem
     assert look(detector, draw([]), 21 / 30.0).found is None
-
-
-def test_what_was_seen_is_drawn_in():
-    detector = TagDetector(DetectorConfig(feature="pose", tag=TAG))
-    rgb = draw([(0, turned(0.5), MIDDLE)])
-    picture = annotate(rgb, look(detector, rgb), VGA)
-    green = (picture[..., 1].astype(int) - picture[..., 0]) > 60
-    assert green[200:280, 280:360].sum() > 50
 
 
 def test_a_lens_that_distorts_changes_nothing():

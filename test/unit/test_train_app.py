@@ -1,4 +1,3 @@
-import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +6,6 @@ from recordings import Recording, relative_error
 
 from fvs_estimator_node.files import DataSet, load_data_set, load_model, save_data_set
 from fvs_ros.chain import SerialChain
-from fvs_ros.stop import EXIT_FAILURE
 from fvs_tools.train import main, on_joints
 
 
@@ -22,21 +20,6 @@ def data_file(tmp_path):
     path = tmp_path / "data.npz"
     save_data_set(path, DataSet(np.arange(n) / 30.0, joints, ball, np.zeros(n, dtype=int)))
     return path
-
-
-@pytest.mark.torch
-def test_it_trains_reports_and_writes(data_file, tmp_path, capsys):
-    model = tmp_path / "model.npz"
-    assert main([str(data_file), "-o", str(model), "--neurons", "12"]) == 0
-    said = capsys.readouterr().out
-    for words in ("between held-out images", "no chain: ", "model written"):
-        assert words in said
-    trained = load_model(model)
-    assert trained.model.neurons == 12
-    assert trained.provenance["data_file"] == "data.npz"
-    assert trained.provenance["data_sha256"] == hashlib.sha256(data_file.read_bytes()).hexdigest()
-    assert trained.provenance["method"] == "varpro"
-    assert 0.0 < trained.errors["pair_error_relative"] < 0.05
 
 
 def test_a_chain_teaches_the_networks(tmp_path, capsys):
@@ -79,17 +62,6 @@ def test_the_report_names_prismatic_joints_weak_ones_and_what_cannot_be_servoed(
     assert first == "joints move the ball by arm 0.30 m/rad, lift 1.00 m/m, wrist 0.00 m/rad"
     assert weak.startswith("wrist hardly moves the ball")
     assert "along [1.00, 0.00, 0.00] of the camera frame" in singular
-
-
-def test_interrupted_it_writes_nothing_and_says_so(data_file, tmp_path, capsys, monkeypatch):
-    def interrupt(*_arguments):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("fvs_tools.train.train", interrupt)
-    model = tmp_path / "model.npz"
-    assert main([str(data_file), "-o", str(model), "--method", "ridge"]) == EXIT_FAILURE
-    assert capsys.readouterr().err == "fvs_train: interrupted, no model was written\n"
-    assert not model.exists()
 
 
 def changed(path, change):

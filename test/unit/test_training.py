@@ -61,28 +61,12 @@ def ridge(data):
     return train(data, RIDGE)
 
 
-def test_ridge_meets_the_requirement(ridge):
-    # 2.5 % is required of the trained networks; the ridge alone is about there
-    assert jacobian_error(ridge.model.jacobian) < 0.029
-
-
 @pytest.mark.torch
 def test_two_minutes_of_the_collectors_motion_suffice():
     told = []
     result = train(smooth(120.0), SHORT, lambda *one: told.append(one) or False)
     assert [one[:2] for one in told] == [(i, 40) for i in range(1, 41)]
     assert jacobian_error(result.model.jacobian) < 0.02
-
-
-@pytest.mark.torch
-def test_equal_seeds_give_equal_networks():
-    data = probes(400)
-    options = replace(SHORT, iterations=4, neurons=10)
-    one, two = train(data, options), train(data, options)
-    other = train(data, replace(options, seed=1))
-    for name in ("centres", "widths", "weights"):
-        np.testing.assert_array_equal(getattr(one.model, name), getattr(two.model, name))
-    assert np.abs(one.model.weights - other.model.weights).max() > 0.0
 
 
 def test_outliers_are_left_out():

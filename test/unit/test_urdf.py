@@ -1,6 +1,5 @@
 """A URDF is read as people save it, and only the arm's own joints matter."""
 
-import numpy as np
 import pytest
 import yaml
 
@@ -136,42 +135,3 @@ def test_the_default_tip_is_the_arms_last_link_and_no_finger(hand):
     assert tip == "wrist_3_link"
     assert [one.name for one in moving] == VALUES["joint_names"]
     assert moving_chain(and_(TEXT.replace("tool0", "flange"), *HANDS[hand]))[0] == "flange"
-
-
-def test_a_single_jaw_is_left_out_where_it_is_not_among_the_recorded_joints():
-    joints = and_(NO_TOOL, joint("jaw", "mount", "lower_jaw"))
-    assert moving_chain(joints)[0] == "lower_jaw"
-    assert moving_chain(joints, known=VALUES["joint_names"])[0] == "wrist_3_link"
-    # A joint in the middle of the arm is not given up.
-    assert len(kinematics(joints, known=VALUES["joint_names"][1:]).names) == 6
-
-
-def test_two_arms_on_a_torso_are_no_hand():
-    arms = [
-        joint(f"{side}{k}", f"{side}{k - 1}" if k else "torso", f"{side}{k}")
-        for side in "lr"
-        for k in range(6)
-    ]
-    text = f"<robot>{joint('lift', 'base', 'torso', 'prismatic')}</robot>"
-    assert [one.name for one in moving_chain(and_(text, *arms))[1]] == [
-        "lift",
-        *(f"l{k}" for k in range(6)),
-    ]
-
-
-def test_the_tip_of_a_large_robot_is_found():
-    """A tree of nine joints in a row, the last four like fingers; in less than minutes."""
-    each = (joint(f"j{k}", f"l{k // 3}", f"l{k + 1}") for k in range(10_000))
-    assert len(moving_chain(and_("<robot></robot>", *each))[1]) == 5
-
-
-def test_what_no_chain_follows_is_named_and_a_loose_base_is_the_root():
-    follows = TEXT.replace(
-        '<joint name="elbow_joint" type="revolute">',
-        '<joint name="elbow_joint" type="revolute"><mimic joint="shoulder_pan_joint"/>',
-    )
-    with pytest.raises(ValueError, match="'elbow_joint' before tool0 is of the kind 'mimic'"):
-        kinematics(read_joints(follows))
-    arm = kinematics(and_(TEXT, joint("drive", "odom", "base_link", "planar")))
-    assert arm.root == "base_link"
-    np.testing.assert_array_equal(arm.points_m, kinematics(JOINTS).points_m)

@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-import pytest
 from drawn_tags import SIZE_M, draw
 
 from fvs_detector_node.config import DetectorConfig
@@ -37,11 +36,8 @@ def fisheye_image(rotation, position_m, side):
     return cv2.GaussianBlur(shown, (0, 0), 0.7), camera
 
 
-@pytest.mark.parametrize("axis", [[0, -1, 0], [0, 1, 0], [1, 0, 0], [-0.4, -0.9, 0]], ids=str)
-def test_a_tag_far_from_the_axis_of_a_wide_lens_is_seen(axis):
-    # 60 degrees off; up and down the image ends at 60 degrees.
-    angle = np.radians(60.0 if axis[1] else 50.0)
-    side = cv2.Rodrigues(angle * np.array(axis) / np.linalg.norm(axis))[0]
+def test_a_tag_60_degrees_from_the_axis_of_a_wide_lens_is_seen():
+    side = cv2.Rodrigues(np.radians(60.0) * np.array([-0.4, -0.9, 0.0]) / np.hypot(0.4, 0.9))[0]
     facing = cv2.Rodrigues(np.array([0.4, 0.3, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
     rotation, position_m = side.T @ facing, side.T @ np.array([0.0, 0.0, 0.35])
     picture, camera = fisheye_image(rotation, position_m, side)
