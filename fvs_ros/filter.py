@@ -131,7 +131,6 @@ class PathFilter:
 
     def __init__(self) -> None:
         self.noise = NoiseVariance()
-        self._jumps = 0  # of the camera or the tool
         self.restart()
 
     def restart(self) -> None:
@@ -163,8 +162,8 @@ class PathFilter:
         Returns
         -------
         list of Image
-            Those that are accepted now, oldest first, in a new run after a jump: this one; none,
-            for an outlier; this one and the outlier before it, where they agree.
+            Those that are accepted now, oldest first: this one; none, for an outlier; this one and
+            the outlier before it, where they agree.
         """
         if self.x is None:
             return self._reinitialise(image)
@@ -184,7 +183,7 @@ class PathFilter:
             self._outliers.clear()
             self.noise.add(image.seen_m - image.moved_m)
             self._inflate_on_bias(innovation, S)
-            return [image._replace(run=image.run + self._jumps)]
+            return [image]
         before = self._outliers[-1] if self._outliers else None
         self._outliers.append((image, innovation))
         agreed = [image]
@@ -192,7 +191,6 @@ class PathFilter:
             agreed = [before[0], image]
         elif len(self._outliers) < _REPEATS:
             return []
-        self._jumps += 1
         return self._reinitialise(*agreed)
 
     def _agree(self, first_m: np.ndarray, second_m: np.ndarray, motion_m: np.ndarray) -> bool:
@@ -212,7 +210,7 @@ class PathFilter:
         self._P = self.noise.variance_m2
         self._c = np.zeros_like(image.seen_m)
         self._mean = np.zeros_like(image.seen_m)
-        return [accepted._replace(run=accepted.run + self._jumps) for accepted in images]
+        return list(images)
 
     def _inflate_on_bias(self, innovation_m: np.ndarray, S: float) -> None:
         """Inflate the variance when innovations keep one direction, whatever the cause."""
