@@ -28,8 +28,8 @@ class End:
     qos: tuple[Qos, ...]
     #: The node uses the topic only if these parameters have these values.
     given: Mapping[str, Any] = field(default_factory=dict)
-    #: When it appears, in words, if not at the start.
-    later: str = ""
+    #: Whether it appears after the start.
+    later: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,17 +45,14 @@ class Topic:
     #: By the node's name.
     publishers: Mapping[str, End] = field(default_factory=dict)
     subscribers: Mapping[str, End] = field(default_factory=dict)
-    #: Who else publishes it or subscribes to it, outside this package.
+    #: Who else publishes it, outside this package.
     also_from: str = ""
-    also_to: str = ""
 
 
 @dataclass(frozen=True)
 class Node:
-    """Services and description of a node."""
+    """Services of a node."""
 
-    #: What the node does, in a sentence.
-    does: str
     #: Name of a service -> its type, and what a call does.
     serves: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     #: Services of other nodes that it calls.
@@ -73,43 +70,25 @@ YOU = "you"  # an operator's tools, such as ``ros2 topic pub``
 _TRIGGER = "std_srvs/srv/Trigger"
 
 NODES: dict[str, Node] = {
-    SIM: Node(
-        "Simulates an arm with a ball on its last link and a fixed depth camera, behind the topics "
-        "of the real drivers.",
-        {"~/reset": (_TRIGGER, "Puts the arm back to `initial_joints_rad`.")},
-    ),
-    DETECTOR: Node("Finds the ball in the colour and depth images of an RGB-D camera."),
+    SIM: Node({"~/reset": (_TRIGGER, "Puts the arm back to `initial_joints_rad`.")}),
+    DETECTOR: Node(),
     ESTIMATOR: Node(
-        "Estimates the hand-eye Jacobian and, if its method learns, corrects it with every motion.",
         {
             "~/reset": (_TRIGGER, "Forgets what was learned online."),
             "~/freeze": ("std_srvs/srv/SetBool", "Stops the learning, or resumes it."),
         },
     ),
     CONTROLLER: Node(
-        "Drives the ball to the target: one command for every joint state, "
-        "each passed by the supervisor.",
         {
             "~/start": (_TRIGGER, "Lets the arm move, if everything is ready."),
             "~/stop": (_TRIGGER, "Brings the arm to rest; it moves again after a start."),
-            "~/set_current_as_target": (_TRIGGER, "Makes the ball's position now the target."),
+            "~/set_current_as_target": (_TRIGGER, "Makes what is seen now the target."),
         },
     ),
-    COLLECTOR: Node(
-        "Moves the joints randomly and safely in a box, in place of the controller, and writes a "
-        "data set to train on."
-    ),
-    CALIBRATE: Node(
-        "Calibrates the camera in the arm's frame while anything moves the arm; moves nothing."
-    ),
-    DEMO: Node(
-        "Gives the controller one target after another, judges by the simulator's truth, prints "
-        "a table and draws a figure.",
-        calls=(f"{CONTROLLER}/stop",),
-    ),
+    COLLECTOR: Node(),
+    CALIBRATE: Node(),
+    DEMO: Node(calls=(f"{CONTROLLER}/stop",)),
     DASHBOARD: Node(
-        "Serves a page for a browser: shows the arm, the camera image and the progress, and "
-        "forwards targets, start, stop, and the choice of estimator and law.",
         calls=(
             *(f"{CONTROLLER}/{name}" for name in ("start", "stop", "set_current_as_target")),
             *(
@@ -121,8 +100,8 @@ NODES: dict[str, Node] = {
             f"{SIM}/reset",
         ),
     ),
-    MARKERS_NODE: Node("Shows ball, target and prediction in RViz and Foxglove."),
-    RECORDER: Node("Records every topic into a bag, as sent.", subscribes_to_all=True),
+    MARKERS_NODE: Node(),
+    RECORDER: Node(subscribes_to_all=True),
 }
 
 _NEWEST, _RELIABLE, _LATCHED = End((Qos.NEWEST,)), End((Qos.RELIABLE,)), End((Qos.LATCHED,))
@@ -131,9 +110,16 @@ _EITHER = End((Qos.LATCHED, Qos.NEWEST))
 _SIMULATED = End((Qos.RELIABLE,), given={"simulated_time": True})
 #: Simulated time waits for a detector in place of the simulator's own.
 _DETECTED = End((Qos.RELIABLE,), given={"simulated_time": True, "publish_ball_position": False})
-_AT_THE_END = End((Qos.RELIABLE,), later="after the last target")
-_WHILE_WATCHED = End((Qos.NEWEST,), later="while a browser shows the page")
-_ONE_IMAGE = End((Qos.NEWEST,), later="after 15 s of motion, for one image")
+#: Who looks at the camera's images now and then.
+_VIEWERS = {
+    DEMO: replace(_RELIABLE, later=True),
+    DASHBOARD: replace(_NEWEST, later=True),
+    CALIBRATE: replace(_NEWEST, later=True),
+}
+#: For images that are compressed, or not.
+_COMPRESSED, _PLAIN = (
+    End((Qos.RELIABLE,), given={"compressed_images": value}) for value in (True, False)
+)
 
 
 def _taken(interface: str) -> End:
@@ -141,9 +127,7 @@ def _taken(interface: str) -> End:
 
 
 _DRIVER = "the robot's driver"
-_CAMERA = "an RGB-D camera's driver"
-_TOOLS = "any tool"
-_VIEWERS = "RViz, Foxglove"
+_CAMERA = "a camera's driver"
 
 
 class KindTopics(NamedTuple):
@@ -188,12 +172,12 @@ def kind_topics(
             description,
             ends(SIM, DETECTOR),
             ends(*users, of=_NEWEST) | ends(SIM, of=_DETECTED),
-            also_from="your own detector or tracker",
+            also_from="your own detector",
         ),
         target=Topic(
             target[0],
             message_type,
-            f"{target[1]} Latched or not.",
+            target[1],
             ends(DEMO, DASHBOARD, of=_LATCHED),
             ends(CONTROLLER, of=_EITHER),
             also_from=YOU,
@@ -202,10 +186,9 @@ def kind_topics(
         truth=Topic(
             f"{SIM}/true_{name}",
             message_type,
-            f"The true value of `{name}`: for scoring, never for control.",
+            f"The true `{name}`, for scoring.",
             ends(SIM),
             ends(DEMO),
-            also_to=_TOOLS,
         ),
     )
 
@@ -213,28 +196,25 @@ def kind_topics(
 JOINT_STATES = Topic(
     "joint_states",
     "sensor_msgs/msg/JointState",
-    "Joint angles, rad, in any order; extra joints are ignored.",
+    "Joint positions, rad (m), in any order; extra joints are ignored.",
     {SIM: _RELIABLE},
     dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DEMO, DASHBOARD), _NEWEST),
     also_from=_DRIVER,
-    also_to=_TOOLS,
 )
 JACOBIAN = Topic(
     "jacobian",
     "std_msgs/msg/Float64MultiArray",
-    "Motion per joint motion at the newest joints, a column for each joint, row by row, joints in "
-    "kinematic order: of the ball, 3 rows, m/rad; of a tag its origin, then 3 rows of its turning, "
-    "rad/rad, camera frame.",
+    "Feature Jacobian at the newest joints, row-major, camera frame: 3 x n, m/rad, or 6 x n for a "
+    "tag (linear velocity of its origin, then angular velocity).",
     {ESTIMATOR: _RELIABLE},
     {SIM: _SIMULATED, CONTROLLER: _NEWEST},
 )
 KINEMATIC_CHAIN = Topic(
     "kinematic_chain",
     "std_msgs/msg/Float64MultiArray",
-    "The arm as the camera sees it now, if `method` is `poe`, in the camera's optical frame: for "
-    "each joint a row of 8, the direction of its axis, a point on it, m, the joint's reference "
-    "position, rad (m), and 1 if it is prismatic; last, at the reference positions, a row of the "
-    "ball, m, and zeros, or four of a tag's origin and its axes.",
+    "The arm in the camera's frame, with `method` `poe`. A row of 8 for each joint: axis, a point "
+    "on it, m, reference position, rad (m), and 1 if prismatic. Last, at the reference positions, "
+    "a row of the ball, m, and zeros, or four of a tag's origin and axes.",
     {ESTIMATOR: _RELIABLE},
     {CONTROLLER: _NEWEST},
 )
@@ -242,25 +222,16 @@ COMMANDS, POSITION_COMMANDS = (
     Topic(
         f"forward_{interface}_controller/commands",
         "std_msgs/msg/Float64MultiArray",
-        f"{words} Only with `command_interface` {interface}.",
+        words,
         dict.fromkeys((CONTROLLER, COLLECTOR), _taken(interface)),
         {
             SIM: _taken(interface),
-            CONTROLLER: replace(_taken(interface), later="another node publishing there"),
+            CONTROLLER: replace(_taken(interface), later=True),
         },
-        also_to=_DRIVER,
     )
     for interface, words in (
-        (
-            "velocity",
-            "A velocity for each joint, rad/s, in kinematic order; the robot holds the last one "
-            "for ever.",
-        ),
-        (
-            "position",
-            "A position for each joint, rad, in kinematic order, near where it is; none before a "
-            "start and after the end.",
-        ),
+        ("velocity", "Joint velocities, rad/s, in kinematic order; the robot holds the last one."),
+        ("position", "Joint positions, rad, in kinematic order; none outside a session."),
     )
 )
 ROBOT_PROGRAM_RUNNING = Topic(
@@ -282,11 +253,10 @@ SPEED_SCALING = Topic(
 ROBOT_DESCRIPTION = Topic(
     "robot_description",
     "std_msgs/msg/String",
-    "The robot as URDF: limits of the joints, and what a viewer draws; optional.",
+    "The robot as URDF; optional.",
     {SIM: _LATCHED},
     dict.fromkeys((CONTROLLER, COLLECTOR, CALIBRATE, DASHBOARD), _LATCHED),
     also_from=_DRIVER,
-    also_to=_TOOLS,
 )
 #: Name prefixes of camera topics: the declared one, and that of the RealSense driver.
 CAMERA_PREFIXES = ("camera", "camera/camera")
@@ -301,115 +271,86 @@ def camera_names(topic: Topic, prefix: str) -> list[str]:
 COLOR_IMAGE = Topic(
     "camera/color/image_raw",
     "sensor_msgs/msg/Image",
-    "Colour image, of any encoding; drawn only while a node subscribes.",
+    "Colour image, of any encoding.",
     {SIM: _RELIABLE},
-    {
-        DETECTOR: End((Qos.RELIABLE,), {"compressed_images": False}),
-        DEMO: _AT_THE_END,
-        DASHBOARD: _WHILE_WATCHED,
-        CALIBRATE: _ONE_IMAGE,
-    },
+    {DETECTOR: _PLAIN, **_VIEWERS},
     also_from=_CAMERA,
 )
 DEPTH_IMAGE = Topic(
     "camera/aligned_depth_to_color/image_raw",
     "sensor_msgs/msg/Image",
-    "Depth in the colour image's pixels, 16UC1 in mm (0 is unknown) or 32FC1 in m; "
-    "drawn only while a node subscribes.",
+    "Depth in the colour image's pixels, 16UC1 in mm (0 is unknown) or 32FC1 in m.",
     {SIM: _RELIABLE},
-    {DETECTOR: End((Qos.RELIABLE,), {"compressed_images": False})},
+    {DETECTOR: _PLAIN},
     also_from=_CAMERA,
 )
 COLOR_IMAGE_COMPRESSED = Topic(
     f"{COLOR_IMAGE.name}/compressed",
     "sensor_msgs/msg/CompressedImage",
     "The colour image as jpeg or png.",
-    subscribers={DETECTOR: End((Qos.RELIABLE,), {"compressed_images": True})},
+    subscribers={DETECTOR: _COMPRESSED},
     also_from=_CAMERA,
 )
 DEPTH_IMAGE_COMPRESSED = Topic(
     f"{DEPTH_IMAGE.name}/compressedDepth",
     "sensor_msgs/msg/CompressedImage",
     "The depth image as png.",
-    subscribers={DETECTOR: End((Qos.RELIABLE,), {"compressed_images": True})},
+    subscribers={DETECTOR: _COMPRESSED},
     also_from=_CAMERA,
 )
 CAMERA_INFO = Topic(
     "camera/color/camera_info",
     "sensor_msgs/msg/CameraInfo",
-    "The colour camera's pinhole model, at the image rate, images drawn or not.",
+    "The colour camera's model, at the image rate.",
     {SIM: _RELIABLE},
-    {
-        DETECTOR: _NEWEST,
-        DEMO: _AT_THE_END,
-        DASHBOARD: _WHILE_WATCHED,
-        CALIBRATE: _ONE_IMAGE,
-    },
+    {DETECTOR: _NEWEST, **_VIEWERS},
     also_from=_CAMERA,
 )
 STATUS = Topic(
     "~/status",
     "diagnostic_msgs/msg/DiagnosticStatus",
-    "State, reason in words, and key numbers, 10 times per second.",
+    "State, reason in words, and key numbers, at 10 Hz.",
     dict.fromkeys(NODES, _RELIABLE),
-    also_to=_TOOLS,
 )
 DIAGNOSTICS = Topic(
     "/diagnostics",
     "diagnostic_msgs/msg/DiagnosticArray",
-    "State, and age, rate and jitter of every input, once per second.",
+    "State, and age, rate and jitter of every input, at 1 Hz.",
     dict.fromkeys(NODES, _RELIABLE),
-    also_to=_TOOLS,
 )
-CLOCK = Topic(
-    "/clock",
-    "rosgraph_msgs/msg/Clock",
-    "Simulated time.",
-    {SIM: _SIMULATED},
-    also_to="every node with use_sim_time",
-)
+CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", "Simulated time.", {SIM: _SIMULATED})
 MARKERS = Topic(
     "markers",
     "visualization_msgs/msg/MarkerArray",
-    "Ball, its trail, target with its distance and predicted position, in the camera's optical "
-    "frame; sent only while a node subscribes.",
+    "Ball or tag, its trail, target and prediction.",
     {MARKERS_NODE: _RELIABLE},
-    also_to=_VIEWERS,
 )
 TF_STATIC = Topic(
     "/tf_static",
     "tf2_msgs/msg/TFMessage",
-    "Pose of the simulated camera in the robot's root link, for viewing; and that of a calibrated "
-    "one.",
-    {
-        MARKERS_NODE: End((Qos.LATCHED,), later="beside the simulator, with `tf2_msgs` installed"),
-        CALIBRATE: End((Qos.LATCHED,), later="at the end, with `stay` and `tf2_msgs` installed"),
-    },
-    also_to=_VIEWERS,
+    "Pose of the simulated camera in the robot's root link, or, with `stay`, of the calibrated "
+    "one; if `tf2_msgs` is installed.",
+    dict.fromkeys((MARKERS_NODE, CALIBRATE), replace(_LATCHED, later=True)),
 )
 TRUE_JACOBIAN = Topic(
     f"{SIM}/true_jacobian",
     "std_msgs/msg/Float64MultiArray",
-    "The true Jacobian at every joint state, laid out as `jacobian`; "
-    "computed only while a node subscribes.",
+    "The true `jacobian`, at every joint state.",
     {SIM: _RELIABLE},
     {ESTIMATOR: End((Qos.NEWEST,), {"method": "oracle"})},
 )
 TRUE_CAMERA_POSE = Topic(
     f"{SIM}/true_camera_pose",
     "geometry_msgs/msg/PoseStamped",
-    "True pose of the camera's optical frame in the robot's root link: for viewing, never for "
-    "control.",
+    "True pose of the camera's optical frame in the robot's root link, for viewing.",
     {SIM: _LATCHED},
     {DASHBOARD: _LATCHED, MARKERS_NODE: _LATCHED},
-    also_to=_TOOLS,
 )
 ANNOTATED_IMAGE = Topic(
     f"{DETECTOR}/annotated_image",
     "sensor_msgs/msg/Image",
-    "The colour image with what was found drawn in, rgb8; drawn only while a node subscribes.",
+    "The colour image with what was found drawn in, rgb8.",
     {DETECTOR: _RELIABLE},
-    also_to=_TOOLS,
 )
 #: The status of one node, as others know it.
 ESTIMATOR_STATUS, CONTROLLER_STATUS, DETECTOR_STATUS = (

@@ -8,29 +8,30 @@ compares them with what would be written now.
 from __future__ import annotations
 
 import argparse
+import json
 import re
-import string
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from fvs_controller_node.config import LAWS
+from fvs_controller_node.config import LAWS, SupervisorConfig
 from fvs_controller_node.reasons import Reason
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros import contract, stop, topics
 from fvs_ros.params import Parameter
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
-from fvs_ros.topics import NODES, End, Topic
+from fvs_ros.topics import NODES, Topic
 from fvs_tools.scenario import NODE_TABLE
 
 PAGE, POLICY = "docs/reference.md", "config/sros2/policy.xml"
 COMMAND = "python -m fvs_tools.reference"
 
-#: Unit at the end of a field's name in a reason's text.
-_UNIT = re.compile(r"_(?:mm|m|s|rad|m_s|rad_s|deg|hz|percent)$")
+#: A field of a reason's text, and its name without the unit.
+_FIELD = re.compile(r"\{(\w+?)(?:_(?:mm|m|s|rad|m_s|rad_s|deg|hz|percent))?(?::[^}]*)?\}")
 #: A topic, service or parameter within a sentence.
 _NAME = re.compile(r"(?<![\w`/~^.*)])(~?/[a-z]\w*(?:/\w+)*|[a-z]\w*_\w+)(?![\w`/*(])")
 
@@ -41,16 +42,10 @@ OPERATOR = "fvs_operator"
 
 def page() -> str:
     """The whole of ``docs/reference.md``."""
-    functions = (sentence, readable, plain_type, default_text, sources, sinks, only)
-    named = {one.__name__: one for one in (*functions, parameter_groups)}
+    functions = (sentence, readable, plain_type, default_text, allowed, links, quality, condition)
+    named = {one.__name__: one for one in (*functions, shared_parameters, parameter_groups)}
     return _rendered(
-        "reference.md.jinja",
-        named,
-        NODE_TABLE=NODE_TABLE,
-        Reason=Reason,
-        stop=stop,
-        topics=topics,
-        contract=contract,
+        "reference.md.jinja", named, NODES=NODES, Reason=Reason, stop=stop, TOPICS=contract.TOPICS
     )
 
 
@@ -75,57 +70,80 @@ def plain_type(name: str) -> str:
     return name.replace("/msg/", "/").replace("/srv/", "/")
 
 
-def sources(topic: Topic) -> str:
-    """The publishers of a topic."""
-    if len(topic.publishers) == len(NODES):
+def links(nodes: Iterable[str], other: str = "") -> str:
+    """Nodes, and who else, with links to their parameters."""
+    names = {node: node.removeprefix("fvs_").removesuffix("_node") for node in nodes}
+    if len(names) == len(NODES):
         return "every node"
-    return " or ".join([*map(_link, topic.publishers), *filter(None, [topic.also_from])])
+    words = [f"[{name}](#{node})" for node, name in names.items()]
+    return ", ".join([*words, other] if other else words)
 
 
-def sinks(topic: Topic) -> str:
-    """The subscribers of a topic."""
-    return ", ".join([*map(_link, topic.subscribers), *filter(None, [topic.also_to])])
+def quality(topic: Topic) -> str:
+    """Quality of service that publishers offer and that subscribers ask for."""
+    ends = topic.publishers, topic.subscribers
+    words = [{qos.value: None for end in one.values() for qos in end.qos} for one in ends]
+    return " → ".join(" or ".join(one) for one in words).lstrip().removesuffix(" → ")
 
 
-def _link(node: str) -> str:
-    short = node.removeprefix("fvs_").removesuffix("_node")
-    return f"[{short}](#{node})"
-
-
-def only(end: End) -> str:
-    """The condition under which a node has this end of a topic; empty if always."""
-    when = [end.later] if end.later else []
-    when += [f"with `{name}: {_value(value)}`" for name, value in end.given.items()]
-    return "; ".join(when)
+def condition(topic: Topic) -> str:
+    """Parameter values with which all of its nodes have a topic, as a sentence; empty if always."""
+    ends = [end.given.items() for end in (*topic.publishers.values(), *topic.subscribers.values())]
+    common = [item for item in ends[0] if all(item in end for end in ends)]
+    return "".join(f" With `{name}: {_value(value)}`." for name, value in common)
 
 
 # --- parameters ---
 
 
+def _by_meaning() -> list[dict[str, Parameter]]:
+    """Each parameter, by the nodes that have it alike, live or not."""
+    found: dict[str, dict[str, Parameter]] = {}
+    for node, entry in NODE_TABLE.items():
+        for one in entry.parameters():
+            found.setdefault(repr(replace(one, live=False)), {})[node] = one
+    return list(found.values())
+
+
+def shared_parameters() -> list[tuple[Parameter, list[str], list[str]]]:
+    """Parameters of several nodes: one, its nodes, and those in which it is live."""
+    return [
+        (next(iter(nodes.values())), list(nodes), [node for node in nodes if nodes[node].live])
+        for nodes in _by_meaning()
+        if len(nodes) > 1
+    ]
+
+
 def parameter_groups(node: str) -> dict[str, list[Parameter]]:
-    """Parameters of all, then those of one method or one law alone, by the end of their title."""
+    """Parameters of one node, then those of one method or one law, by the end of their title."""
+    of_all = {one.name for one in SupervisorConfig.declared()}
     owners: dict[str, list[str]] = {}
     for law, kind in LAWS.items():
         for parameter in kind.Gains.declared():
             owners.setdefault(parameter.name, []).append(f"`{law}`")
-    groups: dict[str, list[Parameter]] = {"": []}
-    for parameter in NODE_TABLE[node].parameters():
+    groups: dict[str, list[Parameter]] = {}
+    for parameter in (nodes[node] for nodes in _by_meaning() if list(nodes) == [node]):
         prefix, dot, _ = parameter.name.rpartition(".")
         methods = [f"`{name}`" for name, kind in ESTIMATORS.items() if kind.group == prefix]
         title = f" of method {', '.join(methods)}" if dot else ""
-        if node == topics.CONTROLLER and parameter.name in owners:
+        if node == topics.CONTROLLER and parameter.name in owners.keys() - of_all:
             title = f" of law {', '.join(owners[parameter.name])}"
         groups.setdefault(title, []).append(parameter)
     return groups
 
 
+def allowed(parameter: Parameter) -> str:
+    """Values of a parameter, without words for what its default shows."""
+    text = parameter.expected()
+    return (
+        "" if parameter.kind is bool else text.removeprefix("number from ").removeprefix("one of ")
+    )
+
+
 def sentence(text: str) -> str:
     """A description with a capital letter, a full stop, and ROS names set as code."""
     text = text.strip()
-    first = text.split(maxsplit=1)[0] if text else ""
-    if first.endswith(":"):  # what a value means
-        text = f"`{first[:-1]}`{text[len(first) - 1 :]}"
-    elif "_" not in first and (len(first) != 1 or first == "a"):  # names and symbols stay
+    if text.partition(" ")[0].strip(":,;").isalpha():  # names and symbols stay
         text = text[:1].upper() + text[1:]
     text = _NAME.sub(r"`\1`", text).replace("|", r"\|")
     return text if text.endswith((".", "!", "?")) else f"{text}."
@@ -133,33 +151,17 @@ def sentence(text: str) -> str:
 
 def default_text(value: Any) -> str:
     """A default value as code."""
-    if value in ("", []):
-        return "empty"
-    if not isinstance(value, list):
-        return f"`{_value(value)}`"
-    # Three numbers or one text per line: a long default would widen the whole column.
-    cells = [_value(one) for one in value]
-    step = 1 if isinstance(value[0], str) else 3
-    lines = [", ".join(cells[i : i + step]) for i in range(0, len(cells), step)]
-    return "<br>".join(f"`{line}`" for line in lines)
+    cells = value if isinstance(value, list) else [value]
+    return ", ".join(f"`{_value(one)}`" for one in cells if one != "") or "empty"
 
 
 def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        text = f"{value:.6g}"
-        return text if re.search(r"[.e]", text) else f"{text}.0"
-    return str(value)
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def readable(template: str) -> str:
     """A format string with its fields as words in italics, without their units."""
-    parts = []
-    for literal, field, _spec, _conversion in string.Formatter().parse(template):
-        words = _UNIT.sub("", field).replace("_", " ") if field else ""
-        parts.append(literal + (f"*{words}*" if words else ""))
-    return "".join(parts)
+    return _FIELD.sub(lambda field: f"*{field[1].replace('_', ' ')}*", template)
 
 
 # --- access rules ---
