@@ -9,7 +9,7 @@ stop.listen()
 import shutil
 import sys
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -93,9 +93,10 @@ class RecorderNode(ros.FvsNode):
     def _expect(self) -> dict[str, str]:
         """Subscribe to this package's topics before a node publishes: no first message is lost.
 
+        Not to one whose type depends on the kind of feature: its publisher tells.
         Returns those that were remapped: their full names as declared, and as they are here.
         """
-        remaps = {}
+        remaps, types = {}, Counter(topic.name for topic in contract.TOPICS)
         for topic in contract.TOPICS:
             for node, end in topic.publishers.items():
                 own = topic.name.replace("~", node, 1)
@@ -103,19 +104,20 @@ class RecorderNode(ros.FvsNode):
                 name = self.resolve_topic_name(own)
                 if name != declared:
                     remaps[declared] = name
-                if is_recorded(name, topic.type, self._config.images):
+                if types[topic.name] == 1 and is_recorded(name, topic.type, self._config.images):
                     for qos in end.qos:
                         self._add(name, topic.type, ros.PROFILES[qos])
         return remaps
 
     def _look(self) -> None:
         """Subscribe to new topics and publishers on the graph."""
-        for topic, types in self.get_topic_names_and_types():
+        for topic, _ in self.get_topic_names_and_types():
             publishers = self.count_publishers(topic)
             if publishers == self._publisher_counts.get(topic, 0):
                 continue
             self._publisher_counts[topic] = publishers
-            if not is_recorded(topic, types[0], self._config.images):
+            types = sorted({one.topic_type for one in self.get_publishers_info_by_topic(topic)})
+            if not types or not is_recorded(topic, types[0], self._config.images):
                 continue
             if len(types) > 1:
                 self.tell(ros.WARN, f"{topic} is not recorded: it has several types {types}")

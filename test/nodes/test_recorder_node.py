@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Bool, Float64
+from std_msgs.msg import Bool, Float64, Float64MultiArray
 
 from fvs_ros import ros, topics
 from fvs_ros.kinds.ball import Ball
@@ -120,12 +120,15 @@ def test_every_message_is_recorded_once(ros_test, recorder):
     listened(ros_test, first)
     second = node.create_publisher(Bool, "both_kinds", lossy)
     listened(ros_test, second)
+    sliding = node.create_publisher(Float64MultiArray, "sliding_variable", DEEP)  # of a pose
+    listened(ros_test, sliding)
+    sliding.publish(Float64MultiArray(data=[0.1]))
     for number in range(800):  # far more quickly than any topic of ours
         reliable.publish(Float64(data=float(number)))
     for _ in range(5):
         first.publish(Bool(data=True))
         second.publish(Bool(data=False))
-    for publisher in (reliable, first):  # a burst may need to be sent again
+    for publisher in (reliable, first, sliding):  # a burst may need to be sent again
         assert publisher.wait_for_all_acked(Duration(seconds=10.0))
     assert ros_test.stop(process) == 0, ros_test.output(process)
 
@@ -134,6 +137,7 @@ def test_every_message_is_recorded_once(ros_test, recorder):
     assert numbers == [float(number) for number in range(800)]
     both = Counter(m.ros_msg.data for m in messages if m.channel.topic == "/both_kinds")
     assert both == {True: 6, False: 5}
+    assert [m.ros_msg.data for m in messages if m.channel.topic == "/sliding_variable"] == [[0.1]]
     times = [m.log_time_ns for m in messages]
     assert times == sorted(times)
 
