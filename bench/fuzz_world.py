@@ -119,7 +119,6 @@ class World:
         self.good = dict.fromkeys(MAX_AGE, 0.0)  # messages since the last trouble; inf: trusted
         self.bad = set()
         self.stamps_s = {}
-        self._chain_s = -math.inf
         self._heard_joints = -math.inf, self.joints  # stamp, s, and positions, rad
         #: Whether a task began (a start, a change), and whether the image or the arm was moved.
         self.new_task = self.new_image = True
@@ -130,8 +129,6 @@ class World:
         self.before, self.last = self.last, command.velocity_rad_s
         self.reasons[command.reason.name] += 1
         self.moving_ticks += bool(self.last.any())
-        if now_s - self._chain_s > 1.5:  # a chain is forgotten
-            self.bad.discard("kinematic_chain")
         self.judge(command, now_s, dt_s)
         self.wire.clear()
 
@@ -260,11 +257,9 @@ class World:
         return math.inf if jacobian is None else np.linalg.svd(jacobian, compute_uv=False)[-1]
 
     def send_chain(self, message):
-        """Send a kinematic chain; it counts until it is forgotten."""
-        self._chain_s = self.now_s
-        self.bad.discard("kinematic_chain")
-        if _read(ros.from_chain, message, self.joints.size) is None:
-            self.bad.add("kinematic_chain")
+        """Send a kinematic chain: it counts as a Jacobian."""
+        chain = _read(ros.from_chain, message, self.joints.size)
+        self._note(JACOBIAN, None if chain is None else 0.0)
         self.node._on_chain(message)
 
     def send_program(self, running):

@@ -192,10 +192,6 @@ class Goal:
         self.target, self._now_m = target, path_m
         return True, f"target set to {kind.text(target)}"
 
-    def was_set(self, target: np.ndarray) -> bool:
-        """Whether this, (m,), is the target that was set last."""
-        return self._last is not None and np.array_equal(target, self._last)
-
     def track(self, now_s: float) -> None:
         """Update a moving target to now, s; outside the workspace it stays at its last position."""
         now, self.velocity_m_s = self._motion.at(now_s), None

@@ -16,8 +16,7 @@ from fvs_ros.vectors import LARGEST, plausible
 
 #: Inputs, by the names of their topics but for the feature.
 JOINT_STATES, FEATURE, JACOBIAN = "joint_states", "feature", "jacobian"
-KINEMATIC_CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
-ROBOT_DESCRIPTION = "robot_description"
+SPEED_SCALING, ROBOT_DESCRIPTION = "speed_scaling", "robot_description"
 
 #: Largest age of a source's status, and duration of a conflict after the foreign command, s.
 _STATUS_MAX_AGE_S, _CONFLICT_S = 2.0, 1.0
@@ -125,7 +124,7 @@ class Inbox:
             JOINT_STATES: ("is the robot driver (or simulator) running?", "joint_states_max_age_s"),
             FEATURE: (f"is the {kind.what} in view, and the detector running?", "ball_max_age_s"),
             JACOBIAN: ("is the estimator running?", "jacobian_max_age_s"),
-            **dict.fromkeys((KINEMATIC_CHAIN, SPEED_SCALING, ROBOT_DESCRIPTION), ()),
+            **dict.fromkeys((SPEED_SCALING, ROBOT_DESCRIPTION), ()),
         }
         names = {FEATURE: kind.topics.tool.name}
         self._monitors = {

@@ -15,7 +15,7 @@ from fvs_controller_node.agreement import Agreement
 from fvs_controller_node.base import Change, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.config import ControllerConfig, SupervisorConfig, default_values, make_law
 from fvs_controller_node.drive_lag import DriveLag, brake
-from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES, KINEMATIC_CHAIN
+from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES
 from fvs_controller_node.reasons import Finding, State
 from fvs_controller_node.redundancy import make_inverse
 from fvs_controller_node.supervisor import Command, Present, Supervisor, answer
@@ -27,10 +27,6 @@ from fvs_ros.interface import POSITION
 from fvs_ros.limits import tick_s
 from fvs_ros.timeline import repeats
 from fvs_ros.track import Track
-
-#: The estimator publishes the chain more often than this; an older one is not used, and a bad one
-#: holds the arm for as long, s.
-_CHAIN_MAX_AGE_S = 1.5
 
 
 class ServoLoop:
@@ -143,19 +139,15 @@ class ServoLoop:
             self._note(Change.MEASUREMENT)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
-        """Take the Jacobian, (d, n), m/rad, and its arrival; a chain's takes priority."""
-        if self.supervisor.inputs.add(JACOBIAN, now_s, jacobian) and self._chain is None:
-            self._jacobian = np.array(jacobian, dtype=float)
+        """Take the Jacobian, (d, n), m/rad, and its arrival; while a chain comes, it gives it."""
+        inputs, max_age_s = self.supervisor.inputs, self.supervisor.config.jacobian_max_age_s
+        if inputs.add(JACOBIAN, now_s, jacobian) and now_s - self._chain_s > max_age_s:
+            self._chain, self._jacobian = None, np.array(jacobian, dtype=float)
 
     def add_chain(self, now_s: float, chain: SerialChain) -> None:
-        """Take the forward model as the camera sees it now, and its arrival."""
+        """Take the arm as the camera sees it now, and its arrival; it gives the Jacobian, too."""
         self._chain, self._chain_s = chain, now_s
-        self.supervisor.inputs[KINEMATIC_CHAIN].good(now_s)
-
-    def bad_chain(self, now_s: float, why: str) -> None:
-        """Take the arrival of a forward model that cannot be used, and why."""
-        self._chain, self._chain_s = None, now_s
-        self.supervisor.inputs[KINEMATIC_CHAIN].bad(why)
+        self.supervisor.inputs[JACOBIAN].good(now_s)
 
     # ---- the target ---------------------------------------------------------------------------
 
@@ -220,9 +212,6 @@ class ServoLoop:
 
     def _present(self, now_s: float) -> Present:
         """What is known at this tick."""
-        if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
-            self._chain = None  # its publisher is gone, or has another method now
-            self.supervisor.inputs[KINEMATIC_CHAIN].forget()
         if self._follows:
             self.supervisor.goal.track(self._stamp_s)
         if self._home is None:  # motion before this start must not count
@@ -294,6 +283,5 @@ class ServoLoop:
             "position_noise_m": self.track.filter.noise_m,
             "position_deviation_m": self.track.filter.deviation_m,
             "drive_lag_s": self._drive_lag.lag_s,
-            "kinematic_chain_age_s": inf if self._chain is None else now_s - self._chain_s,
             "settling_bound_without_limits_s": float("nan") if bound_s is None else bound_s,
         }

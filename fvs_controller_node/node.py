@@ -133,7 +133,7 @@ class ControllerNode(ros.FvsNode):
         try:
             self._loop.add_chain(now_s, ros.from_chain(message, joints, self._kind))
         except ros.MessageError as error:
-            self._loop.bad_chain(now_s, str(error))
+            self._loop.supervisor.inputs[JACOBIAN].bad(str(error))
 
     def _on_estimator_status(self, message: DiagnosticStatus) -> None:
         values, now_s = ros.from_status(message), self.now_s()
@@ -151,16 +151,14 @@ class ControllerNode(ros.FvsNode):
             return
         stamp_s = ros.from_stamp(message.header.stamp)
         heard = (*target.tolist(), stamp_s, frame)
-        # Latched samples arrive twice, and again whenever the publisher is rediscovered. Without a
-        # stamp (`ros2 topic pub`) only an immediate echo counts as a repetition.
+        # Latched samples arrive twice, and again whenever the publisher is rediscovered: they must
+        # not undo a newer target. Without a stamp (`ros2 topic pub`) only an immediate echo counts.
         soon = now_s - self._heard_target_s < _TARGET_ECHO_S
         again = heard == self._heard_target and (stamp_s != 0.0 or soon)
         self._heard_target, self._heard_target_s = heard, now_s
-        if again and not self._loop.supervisor.goal.was_set(target):
-            return  # a newer target is in force: a repetition must not undo it
-        accepted, text = self._loop.add_target(target, frame, stamp_s)
-        if again:  # a repetition only means that a moving target has stopped
+        if again:
             return
+        accepted, text = self._loop.add_target(target, frame, stamp_s)
         self._refusal = "" if accepted else text
         if not (accepted and soon):  # a moving target would flood the log
             self.tell(ros.OK if accepted else ros.WARN, text)

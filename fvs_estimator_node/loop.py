@@ -14,9 +14,6 @@ from fvs_estimator_node.steps import StepPairing
 from fvs_ros.filter import Image
 from fvs_ros.track import Track
 
-#: Images that wait for the noise to become known before any is learned from, at most.
-_WAIT_IMAGES = 16
-
 
 class EstimationLoop:
     """Joint states and images in; Jacobian, chain and status out.
@@ -44,33 +41,29 @@ class EstimationLoop:
         self.estimator, self.kind = estimator, estimator.kind
         self.track, self.pairing = Track(self.kind), StepPairing()
         self.learns = True
-        self._forget()
-
-    def _forget(self) -> None:
         self.steps = 0
         self._jacobian: np.ndarray | None = None  # the newest
-        self._waiting: list[Image] = []  # accepted, and not learned from yet
 
     def reset(self) -> None:
         """Forget what was learned online, and all inputs."""
         self.estimator.reset()
         self.track.reset()
         self.pairing.reset()
-        self._forget()
+        self.steps, self._jacobian = 0, None
 
     # --- inputs ---
 
-    def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> bool:
-        """Take a joint state, s and rad, (n,). Returns whether the estimator learned from it."""
-        return self._learn(self.track.add_joints(stamp_s, joints_rad, self._jacobian))
+    def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> None:
+        """Take a joint state, s and rad, (n,)."""
+        self._learn(self.track.add_joints(stamp_s, joints_rad, self._jacobian))
 
     def lose_joints(self) -> None:
         """Note a joint state that cannot be used: the joints may have jumped."""
         self.track.reset()
 
-    def add_image(self, stamp_s: float, z: np.ndarray) -> bool:
-        """Take a measurement, (m,), and its exposure, s; returns whether the estimator learned."""
-        return self._learn(self.track.add_image(stamp_s, z))
+    def add_image(self, stamp_s: float, z: np.ndarray) -> None:
+        """Take a measurement, (m,), and its exposure, s."""
+        self._learn(self.track.add_image(stamp_s, z))
 
     def add_sliding_variable(self, stamp_s: float, sliding_m: np.ndarray) -> None:
         """Take the controller's sliding variable, m, (d,); the newest goes into coming steps."""
@@ -108,20 +101,12 @@ class EstimationLoop:
 
     # --- between ---
 
-    def _learn(self, images: list[Image]) -> bool:
+    def _learn(self, images: list[Image]) -> None:
         if not (self.learns and self.estimator.learns):
-            self._waiting.clear()
-            return False
-        self._waiting += images
-        # The first image shows that the camera was moved since the training, if its noise is known.
-        known = self.track.filter.noise.known or bool(self.estimator.problem)
-        if not known and len(self._waiting) < _WAIT_IMAGES:
-            return False
-        images, self._waiting = self._waiting, []
+            return
         for image in images:
             step = self.pairing.step(image)
             self.estimator.observe(image.joints_rad, image.z, self.track.filter.noise_m)
             if step is not None:
                 self.estimator.update(step)
                 self.steps += 1
-        return bool(images)

@@ -112,7 +112,7 @@ class EstimatorNode(ros.FvsNode):
             return
         self._joints_s, self._stamp_s = self.now_s(), stamp_s
         self._learn(self._loop.add_joints, stamp_s, joints)
-        self._publish_jacobian(stamp_s, joints)
+        self._publish_estimate(stamp_s, joints)
 
     def _on_feature(self, message: Any) -> None:
         kind, frame = self._kind, self._config.feature_frame
@@ -155,11 +155,10 @@ class EstimatorNode(ros.FvsNode):
         return not self._program_running or not self._speed_scaling > 0.0
 
     def _learn(
-        self, take: Callable[[float, np.ndarray], bool], stamp_s: float, values: np.ndarray
+        self, take: Callable[[float, np.ndarray], None], stamp_s: float, values: np.ndarray
     ) -> None:
         self._loop.learns = not (self._frozen or self._paused())
-        if take(stamp_s, values):
-            self._publish_chain()
+        take(stamp_s, values)
 
     # --- output ---
 
@@ -172,7 +171,7 @@ class EstimatorNode(ros.FvsNode):
         problem = self._loop.problem
         return problem and f"waiting for {topics.TRUE_JACOBIAN.name}: {problem}"
 
-    def _publish_jacobian(self, stamp_s: float, joints: np.ndarray) -> None:
+    def _publish_estimate(self, stamp_s: float, joints: np.ndarray) -> None:
         last = self._published_stamp_s
         if last is not None and 0.0 <= stamp_s - last < _JACOBIAN_GAP_S:
             return
@@ -183,23 +182,15 @@ class EstimatorNode(ros.FvsNode):
             self._complain("the estimate is not finite and was not published; call ~/reset")
             return
         self._published_stamp_s = stamp_s
-        self._jacobian.publish(ros.to_jacobian(jacobian, self._kind))
-
-    def _publish_chain(self) -> None:
-        """Publish the chain as the camera sees it now, if there is one."""
         chain = self._loop.estimator.chain
-        if chain is None:
-            return
-        try:
+        if chain is not None:
             self._chain.publish(ros.to_chain(chain))
-        except ValueError as error:
-            self._complain(f"the chain was not published: {error}; call ~/reset")
+        self._jacobian.publish(ros.to_jacobian(jacobian, self._kind))
 
     # --- services ---
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response):
         self._loop.reset()
-        self._publish_chain()
         response.success, response.message = True, "what was learned online is forgotten"
         return response
 
@@ -248,7 +239,6 @@ class EstimatorNode(ros.FvsNode):
         return ""
 
     def _publish_status(self) -> None:
-        self._publish_chain()  # a node that has just started learns of it soon
         now_s = self.now_s()
         level, state, reason = self._state()
         self.publish_status(

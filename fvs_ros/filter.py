@@ -79,11 +79,6 @@ class NoiseVariance:
         self._residual: np.ndarray | None = None
         self._change: np.ndarray | None = None
 
-    @property
-    def known(self) -> bool:
-        """Whether the lower quartile is that of residuals, not of the initial guess."""
-        return len(self._squares_m2) >= _GUESS + 2
-
     def restart(self) -> None:
         """Begin a new run of residuals; the learned variance stays."""
         self._residual = self._change = None
