@@ -236,8 +236,9 @@ class Promises:
         speed_m_s = np.linalg.norm(world.true @ world.drive)
         self._fastest_m_s = max(self._fastest_m_s, speed_m_s)
         self._way_m += speed_m_s * dt_s
-        # It is found after 3 cm of predicted motion; an arm that is fast needs half a second, too.
-        least_m = 0.03 + 0.5 * self._fastest_m_s
+        # It is found after 3 cm of predicted motion; an arm that is fast needs half a second, too,
+        # and a slow camera six images.
+        least_m = 0.03 + max(0.5, 6.0 * world.image_period_s()) * self._fastest_m_s
         if world.seen_share == 0.0:
             astray_m = np.linalg.norm(world.arm_moved_m() - self._from_m)
             keep("a frozen image is held", astray_m < least_m, astray_m)

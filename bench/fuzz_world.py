@@ -210,10 +210,13 @@ class World:
         self.arrived_s[name] = self.now_s
         self.bad.discard(name)
 
+    def image_period_s(self):
+        """Longest time between the last images, s."""
+        return max(np.diff(self._balls_s[-10:]), default=0.0)
+
     def max_age_s(self, name):
         """Age up to which an input is fresh, s; the ball's of a slow camera is half a second."""
-        intervals_s = np.diff(self._balls_s[-10:]) if name == BALL else []
-        slow_s = min(0.5, 2.5 * max(intervals_s, default=0.0))
+        slow_s = min(0.5, 2.5 * self.image_period_s()) if name == BALL else 0.0
         return max(self.values[MAX_AGE[name]], slow_s)
 
     def send_joints(self, joints_rad, stamp_s, names=None):
