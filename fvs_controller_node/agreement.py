@@ -64,12 +64,12 @@ class Agreement:
         if stamp_s <= self._newest_s:  # the clock stepped back: the cells remain valid
             self._cells[:, 0] += stamp_s - self._newest_s
         self._newest_s = stamp_s
-        one = np.concatenate([(stamp_s, 1.0), moved_m, seen_m])
+        row = np.concatenate([(stamp_s, 1.0), moved_m, seen_m])
         if len(self._cells) and length(moved_m - self._anchor_m) <= _CELL_M:
-            self._cells[-1, 1:] += one[1:]
+            self._cells[-1, 1:] += row[1:]
         else:
             self._anchor_m, first = moved_m, len(self._cells) == 0
-            self._cells = one[None] if first else np.vstack([self._cells[1 - _CELLS :], one])
+            self._cells = row[None] if first else np.vstack([self._cells[1 - _CELLS :], row])
         self.verdict = self._judge(noise_m)
 
     def _judge(self, noise_m: float) -> Verdict | None:
@@ -79,8 +79,8 @@ class Agreement:
         moved, seen = np.hsplit(cells[:, 2:] / images[:, None], 2)
         verdict, first = None, 0
         while len(cells) - first > 1:
-            time_s, some = self._newest_s - stamps_s[first], slice(first, None)
-            later = _verdict(images[some], moved[some], seen[some], noise_m, time_s)
+            time_s, newer = self._newest_s - stamps_s[first], slice(first, None)
+            later = _verdict(images[newer], moved[newer], seen[newer], noise_m, time_s)
             if later is None:
                 break
             verdict, first = later, first + 1
@@ -106,8 +106,8 @@ def _verdict(
     if noise_m**2 > _DEVIATION**2 * power:
         return None
     seen = seen - weights @ seen
-    share = float(singular_values((seen * images[:, None]).T @ moved).sum()) / power
+    seen_share = float(singular_values((seen * images[:, None]).T @ moved).sum()) / power
     noise_m2 = seen.shape[1] * (len(images) - 1) * noise_m**2
-    off = max(0.0, float(images @ np.square(seen - moved).sum(axis=1)) - noise_m2)
+    error_m2 = max(0.0, float(images @ np.square(seen - moved).sum(axis=1)) - noise_m2)
     seen_power = float(images @ np.square(seen).sum(axis=1)) - noise_m2
-    return Verdict(predicted_m, share, (off / max(power, seen_power)) ** 0.5, time_s)
+    return Verdict(predicted_m, seen_share, (error_m2 / max(power, seen_power)) ** 0.5, time_s)

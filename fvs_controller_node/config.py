@@ -150,7 +150,7 @@ class SupervisorConfig(JointLimits, KindConfig):
 _GROUPS: list[type[Parameters]] = [ControllerConfig, SupervisorConfig, RedundancyConfig]
 _GROUPS += [law.Gains for law in LAWS.values()]
 #: Every parameter of the node, once: some belong to more than one law.
-PARAMETERS = tuple({one.name: one for group in _GROUPS for one in group.declared()}.values())
+PARAMETERS = tuple({p.name: p for group in _GROUPS for p in group.declared()}.values())
 
 
 def default_values(**overrides: Any) -> dict[str, Any]:

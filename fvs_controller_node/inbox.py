@@ -195,11 +195,11 @@ class Inbox:
         """Find what is wrong with the inputs now, worst first."""
         troubles = self._troubles(now_s)
         # What must stop at once comes before a conflict, in which the arm may ramp to rest.
-        found = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
-        found += self.pauses()
+        findings = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
+        findings += self.pauses()
         if self._conflict is not None and now_s - self._conflict_s < _CONFLICT_S:
-            found.append(self._conflict)
-        return next(iter(found + troubles), None)
+            findings.append(self._conflict)
+        return next(iter(findings + troubles), None)
 
     def late(self, now_s: float) -> str:
         """The first fault in age or content of the messages; empty if all are fresh."""
@@ -228,8 +228,8 @@ class Inbox:
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Ages and the robot's reports, always the same keys in the same order."""
-        watched = [self[one] for one in (JOINT_STATES, FEATURE, JACOBIAN)]
-        ages = {f"{one.name}_age_s": one.age_s(now_s) for one in watched}
+        watched = [self[name] for name in (JOINT_STATES, FEATURE, JACOBIAN)]
+        ages = {f"{monitor.name}_age_s": monitor.age_s(now_s) for monitor in watched}
         running = {None: "unknown", False: "false", True: "true"}[self._program_running]
         return {
             **ages,

@@ -49,8 +49,8 @@ class ControllerNode(ros.FvsNode):
 
     keeps_subscriptions = True
 
-    def __init__(self, **place: Any) -> None:
-        super().__init__("fvs_controller_node", PARAMETERS, **place)
+    def __init__(self, **options: Any) -> None:
+        super().__init__("fvs_controller_node", PARAMETERS, **options)
         v = self.values
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
@@ -236,7 +236,7 @@ class ControllerNode(ros.FvsNode):
             return
         silence = "" if command.state is State.SERVOING else self._silence
         ranges = "" if self._loop.supervisor.config.ranges_known else _NO_RANGES
-        remarks = [one for one in (self._refusal, silence, ranges) if one]
+        remarks = [remark for remark in (self._refusal, silence, ranges) if remark]
         if self._conflicting:
             remarks.append(f"{self._conflicting} publishes commands as well: stop it")
         text = f"{command.text} ({'; '.join(remarks)})" if remarks else command.text

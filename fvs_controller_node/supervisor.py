@@ -305,8 +305,8 @@ class Supervisor:
         }
         for name, vector in vectors.items():
             places = config.kind.places if name.endswith("_m") else config.kind.size
-            for place, axis in enumerate(config.kind.axes[:places]):
-                values[name.format(axis)] = nan if vector is None else float(vector[place])
+            for i, axis in enumerate(config.kind.axes[:places]):
+                values[name.format(axis)] = nan if vector is None else float(vector[i])
         return values
 
 

@@ -36,8 +36,8 @@ class EstimatorNode(ros.FvsNode):
 
     keeps_subscriptions = True
 
-    def __init__(self, **place: Any) -> None:
-        super().__init__("fvs_estimator_node", PARAMETERS, **place)
+    def __init__(self, **options: Any) -> None:
+        super().__init__("fvs_estimator_node", PARAMETERS, **options)
         v = self.values
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._kind = EstimatorConfig.from_values(v).kind

@@ -107,9 +107,9 @@ class Following:
         stuck = _astray(low - begun[1], high - begun[0], moved)
         stuck |= _astray(begun[0] - high, begun[1] - low, -moved)
         if stuck.any():
-            place, joint = np.argwhere(stuck)[0]
-            commanded_rad = float(path[joint] - begun[3, place, joint])
-            self.fault = TrackingFault(int(joint), commanded_rad, float(moved[place, joint]))
+            since, joint = np.argwhere(stuck)[0]
+            commanded_rad = float(path[joint] - begun[3, since, joint])
+            self.fault = TrackingFault(int(joint), commanded_rad, float(moved[since, joint]))
         far = np.abs(path - begun[3, 0]) >= _APART_RAD
         if far.any():
             begun[:, 1:, far] = begun[:, :-1, far]
