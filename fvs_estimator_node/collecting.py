@@ -15,7 +15,6 @@ from enum import Enum
 import numpy as np
 
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
-from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.following import Following
 from fvs_ros.interface import CommandInterface
 from fvs_ros.kinds import KindConfig
@@ -43,13 +42,6 @@ class CollectorConfig(MotionConfig, KindConfig, CommandInterface):
     """What is recorded, how the arm moves, and what ends it."""
 
     output_path: str = parameter("out/collect/dataset.npz", "data set file to write")
-    stop_at_error: float = parameter(
-        0.0,
-        "relative standard deviation of the Jacobian in the motion box that ends collecting early "
-        "(0.002 is a good value for `fvs_train --method poe`); 0 is off",
-        0.0,
-        0.5,
-    )
     seed: int = parameter(0, "seed of the motion", 0)
 
     def allowed_rad(self, box_rad: np.ndarray) -> np.ndarray:
@@ -79,18 +71,14 @@ _OVER = (State.DONE, State.FAILED)
 
 
 class CollectionRun:
-    """Moves the joints and records the ball.
+    """Moves the joints and records what is seen.
 
-    ``reason`` explains the ``state`` in words, ``samples`` holds the recording, and ``stop`` is the
-    criterion that ends the motion early.
+    ``reason`` explains the ``state`` in words, ``samples`` holds the recording.
     """
 
-    def __init__(self, config: CollectorConfig, stop: StopCriterion | None = None) -> None:
+    def __init__(self, config: CollectorConfig) -> None:
         self._config, self._names = config, config.joint_names
         self._unseen = f"no {config.kind.topics.tool.name}"
-        self.stop = (
-            stop if stop is not None else StopCriterion(config.stop_at_error, config.feature)
-        )
         self._motion: RandomMotion | None = None
         self._timeline = Timeline()
         self._joints: np.ndarray | None = None
@@ -108,12 +96,7 @@ class CollectionRun:
     @property
     def progress(self) -> float:
         """Share of the motion that is done."""
-        return 0.0 if self._motion is None else min(1.0, self._moved_s / self._motion.duration_s)
-
-    @property
-    def duration_s(self) -> float:
-        """Duration of the motion as known now, s; infinite before it begins."""
-        return np.inf if self._motion is None else self._motion.duration_s
+        return min(1.0, self._moved_s / self._config.duration_s)
 
     @property
     def moves(self) -> bool:
@@ -228,11 +211,11 @@ class CollectionRun:
         if self.state is State.FAILED:
             return None
         self._moved_s += dt_s
-        over_s = self._moved_s - motion.duration_s
+        over_s = self._moved_s - self._config.duration_s
         if over_s >= 0.0:
             self._trouble_s = None
             if motion.done(self._moved_s, joints) or over_s > GIVE_UP_S:
-                self.state, self.reason = State.DONE, f"finished{self._because()}"
+                self.state, self.reason = State.DONE, "finished"
                 return None
         elif lost:
             motion.return_home()
@@ -241,18 +224,8 @@ class CollectionRun:
             self._trouble_s = None
             motion.resume(self._moved_s, joints)
             self.state, self.reason = State.MOVING, "moving and recording"
-            self.stop.look(self._moved_s, self.samples, motion.box_rad)
-            if self.stop.enough:
-                motion.end_early(self._moved_s)
-                self.reason = f"coming home{self._because()}"
-            elif self.stop.trouble:
-                self.reason += f" for the whole duration: {self.stop.trouble}"
         moves = self.state in (State.MOVING, State.RETURNING)
         return motion.command(self._moved_s, joints) if moves else None
-
-    def _because(self) -> str:
-        """Why the motion ended early, in words; empty if it did not."""
-        return f": {self.stop.words()}" if self.stop.enough else ""
 
     def _watch_place(self, joints: np.ndarray, box_rad: np.ndarray) -> None:
         low, high = self._config.allowed_rad(box_rad)

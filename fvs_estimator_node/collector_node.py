@@ -9,7 +9,6 @@ stop.listen()
 import os
 import sys
 from datetime import datetime, timezone
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +131,6 @@ class CollectorNode(ros.FvsNode):
                 "simulated_time": bool(self._simulated_time),
                 "parameters": self.values,
                 "ended": self._run.reason if self._run.ended else "interrupted",
-                "known": self._known(),
             },
         )
         save_data_set(self._path, data)
@@ -141,23 +139,16 @@ class CollectorNode(ros.FvsNode):
 
     # --- status ---
 
-    def _known(self) -> dict[str, float]:
-        """Figures of the newest chain fit; empty before the first."""
-        found = self._run.stop.found
-        names = ("jacobian_deviation", "misfit", "image_offset_s")
-        return {name: found[name] for name in names if isfinite(found.get(name, np.nan))}
-
     def _show_progress(self) -> None:
-        self._bar.total = min(self._config.duration_s, self._run.duration_s)
-        self._bar.n = self._run.progress * self._bar.total
-        words = (f"{len(self._run.samples)} positions", self._run.stop.words(), self._run.reason)
-        self._bar.set_postfix_str(", ".join(filter(None, words)), refresh=False)
+        self._bar.n = self._run.progress * self._config.duration_s
+        words = f"{len(self._run.samples)} positions, {self._run.reason}"
+        self._bar.set_postfix_str(words, refresh=False)
         self._bar.update(0)
 
     def _publish_status(self) -> None:
         run = self._run
         level = {State.FAILED: ros.ERROR, State.MOVING: ros.OK, State.DONE: ros.OK}
-        values = {"progress": run.progress, "positions": len(run.samples), **self._known()}
+        values = {"progress": run.progress, "positions": len(run.samples)}
         self.publish_status(level.get(run.state, ros.WARN), run.state.value, run.reason, values)
         self._show_progress()
 

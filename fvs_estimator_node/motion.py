@@ -73,9 +73,8 @@ class RandomMotion:
     two-minute recording had a third more error.) Equal generators give equal motions; a start pose
     outside the joint limits raises ValueError.
 
-    ``box_rad`` holds the least and greatest joint positions of the path, (2, n), ``duration_s`` its
-    duration, less than configured after :meth:`end_early`, and ``rate_rad_s`` the rates of the
-    joints' phases, (n,).
+    ``box_rad`` holds the least and greatest joint positions of the path, (2, n), and
+    ``rate_rad_s`` the rates of the joints' phases, (n,).
     """
 
     def __init__(
@@ -103,7 +102,6 @@ class RandomMotion:
         # Time to leave the start pose, or to come back.
         self._ramp_s = 4.0 * float(self._half.max()) / config.path_speed_rad_s
         self._draw(rng)
-        self.duration_s = config.duration_s
         self._anchor, self._anchor_time_s = start, 0.0
         self._returning = False
 
@@ -121,10 +119,6 @@ class RandomMotion:
         allowed = acceleration * half / np.maximum(speed, 1e-9) ** 2
         self._sharpness = k = np.interp(allowed, _turn_factor(sharp), sharp)
         self.rate_rad_s = speed * np.arcsin(k) / (np.where(half > 0.0, half, np.inf) * k)
-
-    def end_early(self, time_s: float) -> None:
-        """Return home from now on, as softly as at the regular end."""
-        self.duration_s = min(self.duration_s, time_s + self._ramp_s)
 
     def path(self, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the exploring path is, without its soft start and end.
@@ -149,7 +143,7 @@ class RandomMotion:
         return limit_speed(wanted, self._config.max_joint_velocity_rad_s, self._unit)
 
     def _reference(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-        end_s, position, velocity = self.duration_s, self._start, np.zeros(len(self._start))
+        end_s, position, velocity = self._config.duration_s, self._start, np.zeros(len(self._start))
         if self._returning or time_s >= end_s:
             return position, velocity
         position, velocity = self.path(time_s)
@@ -177,7 +171,7 @@ class RandomMotion:
     def done(self, time_s: float, joints_rad: np.ndarray) -> bool:
         """Whether the time is over and the arm back at its start pose."""
         far = np.abs((np.asarray(joints_rad) - self._start) / self._unit).max()
-        return bool(time_s >= self.duration_s and far <= _HOME_RAD)
+        return bool(time_s >= self._config.duration_s and far <= _HOME_RAD)
 
 
 def _unequal_shares(half_rad: np.ndarray, top: np.ndarray, rng: np.random.Generator) -> np.ndarray:

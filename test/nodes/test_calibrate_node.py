@@ -26,7 +26,7 @@ def test_the_camera_is_found_while_the_arm_moves(ros_test, tmp_path):
     ros_test.start_node(
         "fvs_estimator_node.collector_node", use_sim_time=True,
         output_path=str(tmp_path / "data.npz"), joint_range_rad=[0.5],
-        max_joint_velocity_rad_s=0.65, stop_at_error=0.0,
+        max_joint_velocity_rad_s=0.65,
     )  # fmt: skip
     assert ros_test.wait(calibrating, 120.0) == 0
     content = yaml.safe_load(out.read_text())

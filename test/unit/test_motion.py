@@ -19,7 +19,7 @@ def follow(one, duration_s=None, lag_s=0.0, start=HOME, events=()):
     joints, speed = np.array(start), np.zeros(6)
     share = 1.0 if lag_s == 0.0 else DT_S / (lag_s + DT_S)
     all_joints, commands = [], []
-    for k in range(round((duration_s or one.duration_s) / DT_S)):
+    for k in range(round((duration_s or 120.0) / DT_S)):
         for at, event in events:
             if k == round(at / DT_S):
                 event(k * DT_S, joints)
