@@ -4,6 +4,7 @@
 #   ARGS="..."           more arguments for the command behind a target, e.g. ARGS="-k launcher"
 #   NAME=servo           which experiment (experiments only); default all
 #   BAG=out/run_1        which recording (replay only)
+#   PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu    a torch without CUDA, 2 GB less
 
 PYTHON ?= python3
 ARGS ?=
@@ -60,7 +61,7 @@ bench: $(VENV)/.installed-all log-dir ## measurements of bench/, as tables
 	@echo "== benchmarks: some minutes; keep the machine idle"
 	@$(BIN)/python -m bench $(ARGS)
 
-model: $(VENV)/.installed-demo log-dir ## record a data set and train the demo's model anew
+model: $(VENV)/.installed-model log-dir ## record a data set and train the demo's model anew
 	@echo "== record joint motion in simulation: some minutes"
 	@$(BIN)/fvs_launch config/collect.yaml
 	@echo "== train on it: some minutes"
@@ -91,22 +92,25 @@ log-dir:
 # What is installed: one stamp per set of extras. A larger set stamps the smaller ones it holds.
 
 $(VENV)/.installed-demo: EXTRAS := ros,sim,record
+$(VENV)/.installed-model: EXTRAS := ros,sim,record,train
 $(VENV)/.installed-lab: EXTRAS := ros,sim,record,lab
 $(VENV)/.installed-dashboard: EXTRAS := ros,sim,record,dashboard
 $(VENV)/.installed-lint: EXTRAS := test
 $(VENV)/.installed-all: EXTRAS := all
-$(VENV)/.installed-all: ALSO := demo dashboard lab lint
+$(VENV)/.installed-all: ALSO := demo dashboard model lab lint
 $(VENV)/.installed-dashboard: ALSO := demo
 $(VENV)/.installed-docs: EXTRAS := all,docs
-$(VENV)/.installed-docs: ALSO := all demo dashboard lab lint
+$(VENV)/.installed-docs: ALSO := all demo dashboard model lab lint
 $(VENV)/.installed-lab: ALSO := demo
+$(VENV)/.installed-model: ALSO := demo
 # Of installations; pip shows its own progress.
 HINT_demo := half a minute and 250 MB
 HINT_dashboard := a minute and 450 MB
+HINT_model := minutes and up to 3 GB for torch
 HINT_lab := a minute and 350 MB
-HINT_docs := minutes and 1 GB
+HINT_docs := minutes and up to 3 GB for torch
 HINT_lint := half a minute and 100 MB
-HINT_all := minutes and 1 GB
+HINT_all := minutes and up to 3 GB for torch
 
 $(VENV)/.installed-%: setup.py constraints.txt $(VENV)/.made | check-python
 	@echo "== install fvs_ros[$(EXTRAS)] into $(VENV): $(HINT_$*), once"

@@ -15,6 +15,7 @@ EXTRAS = {
     ],
     "camera": ["opencv-python-headless"],
     "sim": ["pybullet", "opencv-python-headless", "matplotlib"],
+    "train": ["torch"],
     "lab": ["joblib", "cmaes", "jinja2", "matplotlib"],
     "record": ["rosbags"],
     "dashboard": ["viser[urdf]>=1.1,<1.2", "opencv-python-headless"],

@@ -41,8 +41,6 @@ _NODE_SPACING_RAD = 0.8
 #: Pairs of a batch, Adam's first step for centres (rad) and log widths, and iterations between
 #: looks at the validation error, which often rises for a while after the first, large steps.
 _BATCH, _LEARNING_RATE, _CHECK_EVERY = 2048, 0.1, 20
-#: Adam's decays.
-_BETAS = (0.9, 0.99)
 
 #: Centres, rad, (n, k, n), and widths, rad, (n, k).
 Neurons = tuple[np.ndarray, np.ndarray]
@@ -171,6 +169,12 @@ class Pairs:
 
         Those of the least validation error are kept.
         """
+        try:
+            from fvs_estimator_node.varpro import Batch, refine
+        except ImportError as error:
+            raise TrainingError(
+                "the method varpro needs torch: pip install torch, or use the method ridge"
+            ) from error
         judged_on, solved_on = self._draw(validation, 3000), self._draw(fitting, 6000)
 
         def score(present: Neurons) -> float:
@@ -179,51 +183,23 @@ class Pairs:
             return float(np.linalg.norm(regressors @ weights - motion) / np.linalg.norm(motion))
 
         best_score, best = score(neurons), neurons
-        shape = neurons[0].shape
-        values = np.concatenate([neurons[0], np.log(neurons[1])[..., None]], axis=2)
-        mean, square = np.zeros((2, *values.shape))  # of the gradient
-        for i in range(1, iterations + 1):
-            pairs = self._draw(fitting, _BATCH)
-            neurons = values[..., : shape[2]], np.exp(values[..., shape[2]])
-            gradient = self._gradient(neurons, *pairs)
-            mean += (1.0 - _BETAS[0]) * (gradient - mean)
-            square += (1.0 - _BETAS[1]) * (gradient**2 - square)
-            rate = 0.5 * _LEARNING_RATE * (1.0 + math.cos(math.pi * (i - 1) / iterations))
-            deviation = np.sqrt(square / (1.0 - _BETAS[1] ** i)) + 1e-8
-            values = values - rate / (1.0 - _BETAS[0] ** i) * mean / deviation
-            if i % _CHECK_EVERY == 0 or i == iterations:
-                present = values[..., : shape[2]], np.exp(values[..., shape[2]])
-                best_score, best = min(
-                    (best_score, best), (score(present), present), key=lambda scored: scored[0]
-                )
+
+        def draw() -> Batch:
+            first, second = self._draw(fitting, _BATCH)
+            return self.joints[first], self.joints[second], self.ball[second] - self.ball[first]
+
+        def report(iteration: int, centres: np.ndarray, widths: np.ndarray) -> None:
+            nonlocal best_score, best
+            if iteration % _CHECK_EVERY == 0 or iteration == iterations:
+                present = score((centres, widths))
+                if present < best_score:
+                    best_score, best = present, (centres.copy(), widths.copy())
             if progress is not None:
-                progress(i, iterations, best_score)
+                progress(iteration, iterations, best_score)
+
+        nodes = quadrature(self._nodes)
+        refine(neurons, draw, nodes, _RIDGE, _LEARNING_RATE, iterations, report)
         return best
-
-    def _gradient(self, neurons: Neurons, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Slopes of the relative squared error of pairs by centres and log widths, (n, k, n + 1).
-
-        The weights are the best ones for these neurons; at them, their own change counts nothing.
-        """
-        regressors, motion = self._equations(neurons, first, second)
-        weights = ridge_weights(regressors, motion)
-        error = 2.0 * (regressors @ weights - motion) / np.sum(motion**2)
-        centres, widths = neurons
-        start, step = self.joints[first], self.joints[second] - self.joints[first]
-        pull = (error @ weights.T).reshape(-1, *widths.shape) * step[:, :, None]
-        # Of theta = exp(-|r - u|^2 / delta^2): sums over the pairs of r, |r|^2 and 1.
-        sums = np.zeros((widths.size, centres.shape[2] + 2))
-        for place, share in zip(*quadrature(self._nodes), strict=True):
-            joints = start + place * step
-            effect = rbf_features(*neurons, joints)
-            effect *= pull
-            terms = np.column_stack([joints, np.sum(joints**2, axis=1), np.ones(len(joints))])
-            sums += share * effect.reshape(len(joints), -1).T @ terms
-        of_joints, of_squares, total = np.split(sums.reshape(*widths.shape, -1), [-2, -1], axis=2)
-        by_width = of_squares - 2.0 * np.sum(of_joints * centres, axis=2, keepdims=True)
-        by_width += total * np.sum(centres**2, axis=2, keepdims=True)
-        slopes = np.concatenate([of_joints - total * centres, by_width], axis=2)
-        return 2.0 * slopes / widths[..., None] ** 2
 
 
 def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.chain_fit import ChainFit, fit_chain
 from fvs_estimator_node.chain_start import MAX_OFFSET_S, STILL_RAD
@@ -154,8 +153,7 @@ def _networks(
         return distil(fit.chain, boxes["joint_box_rad"], options.count, rng), boxes, {}
     pairs.joints = _joints_seen(data, fit.time_offset_s if fit is not None else 0.0)
     iterations = options.iterations if options.method == "varpro" else 0
-    with threadpool_limits(1):  # on a busy machine more threads mostly wait for each other
-        weighted, good, errors = pairs.train(options.count, iterations, progress)
+    weighted, good, errors = pairs.train(options.count, iterations, progress)
     model = replace(weighted, weights=weighted.weights / weights[:, None])
     return model, boxes_of(pairs.joints[good], data.ball_m[good], rng), errors
 

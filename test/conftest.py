@@ -89,6 +89,9 @@ def pytest_runtest_makereport(item, call):
 
 
 def pytest_configure(config):
+    config.addinivalue_line(
+        "markers", "torch: trains with torch; skipped where it is not installed"
+    )
     # xdist would replace a worker that died, and then wait for it for ever.
     if getattr(config.option, "maxworkerrestart", "0") is None:
         config.option.maxworkerrestart = "0"
@@ -116,6 +119,10 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.flaky(reruns=1, rerun_except="Failed: Timeout"))
     # They take longest, so that they begin first.
     items[:] = real_time + [item for item in items if not _is_real_time(item)]
+    if importlib.util.find_spec("torch") is None:
+        for item in items:
+            if item.get_closest_marker("torch"):
+                item.add_marker(pytest.mark.skip(reason="torch is not installed"))
 
 
 def pytest_terminal_summary(terminalreporter):

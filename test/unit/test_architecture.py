@@ -27,6 +27,7 @@ BESIDE = {
 ROS_HOME = "fvs_ros/ros"
 IMAGES = "fvs_ros/ros/images.py"
 BAGS = "fvs_tools/recorded.py"  # decodes messages that come from a file
+TRAINING = "fvs_estimator_node/varpro.py"
 SIMULATOR = "fvs_sim_node"
 GROUND_MAY_IMPORT = {"numpy", "fvs_ros"}
 
@@ -73,6 +74,8 @@ def violations(path, source):
             found.append(f"{path} imports {package}: only *node.py and {ROS_HOME} know ROS")
         if package == "pybullet" and home != SIMULATOR:
             found.append(f"{path} imports pybullet: only {SIMULATOR} may")
+        if package == "torch" and path != TRAINING:
+            found.append(f"{path} imports torch: only {TRAINING} may")
         inside = package == home or floor_of(package) is None or (home, package) in BESIDE
         if not inside and floor_of(package) >= floor_of(home):
             found.append(f"{path} imports {package}: it is not on a floor below")
@@ -95,7 +98,7 @@ def violations(path, source):
 
 def test_the_sources_are_found():
     assert set(PACKAGES) == set().union(*FLOORS)
-    assert IMAGES in SOURCES
+    assert {IMAGES, TRAINING} <= set(SOURCES)
 
 
 @each("path", SOURCES)

@@ -63,7 +63,7 @@ def test_every_folder_and_shared_file_is_installed_where_it_lies(setup_arguments
     assert files["share/fvs_ros"] == ["package.xml"]
 
 
-def test_requirements_are_bounded_on_both_sides(setup_arguments):
+def test_requirements_are_bounded_on_both_sides_and_the_demo_needs_no_torch(setup_arguments):
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     bounds = {requirement_name(line): line for line in lines if line and line[0] != "#"}
     extras = setup_arguments["extras_require"]
@@ -73,3 +73,5 @@ def test_requirements_are_bounded_on_both_sides(setup_arguments):
     for name in wanted:
         assert ">=" in bounds[name], bounds[name]
         assert "<" in bounds[name], bounds[name]
+    demo = [*setup_arguments["install_requires"], *extras["ros"], *extras["sim"]]
+    assert "torch" not in map(requirement_name, demo)

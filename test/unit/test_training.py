@@ -1,3 +1,4 @@
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -50,6 +51,17 @@ def smooth(duration_s, seed=0):
     return DataSet(stamps, joints, measured(rng, joints), np.zeros(len(stamps), dtype=int))
 
 
+@pytest.fixture(scope="module")
+def data():
+    return probes(5000)
+
+
+@pytest.fixture(scope="module")
+def ridge(data):
+    return train(data, RIDGE)
+
+
+@pytest.mark.torch
 def test_two_minutes_of_the_collectors_motion_suffice():
     told = []
     result = train(smooth(120.0), SHORT, lambda *one: told.append(one) or False)
@@ -92,3 +104,10 @@ def test_a_time_offset_of_the_images_is_found_and_corrected(late_s):
     assert not any("ms" in note for note in punctual.notes)
     wrong = jacobian_error(late.model.jacobian)
     assert wrong < 1.3 * jacobian_error(punctual.model.jacobian)
+
+
+def test_without_torch_the_way_out_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "fvs_estimator_node.varpro", raising=False)
+    with pytest.raises(TrainingError, match="needs torch: pip install torch, or use the method ri"):
+        train(smooth(20.0), TrainingOptions(method="varpro"))
