@@ -51,7 +51,7 @@ def test_from_30_cm_it_settles_within_the_limits_and_stays_exact_and_calm(name, 
     assert np.abs(np.diff(commands, 2, axis=0)).max() <= jerk * loop.period_s**2 + 1e-12
 
 
-@each("rate_hz", [60, 500, 1000])
+@each("rate_hz", [60, 1000])
 def test_any_rate_of_joint_states_will_do(rate_hz):
     rates = {"joint_state_rate_hz": rate_hz, "physics_rate_hz": 0}
     simulation = Simulation(dataclasses.replace(EXACT.sim_config(), **rates))
@@ -79,7 +79,7 @@ def follow(name, speed_m_s, noise_m, feed_forward):
     rng, radius_m = np.random.default_rng(7), 0.08
     loop = loop_from(name, HOME_RAD, target_feed_forward=feed_forward)
     start_m, commands, errors_m, told_s = loop.ball_m, [], [], 0.0
-    for tick in range(round(4.0 / loop.period_s)):
+    for tick in range(round(3.0 / loop.period_s)):
         angle = speed_m_s / radius_m * tick * loop.period_s
         true_m = start_m + radius_m * np.array([np.cos(angle) - 1.0, np.sin(angle), 0.0])
         if tick * loop.period_s >= told_s:
@@ -94,7 +94,7 @@ def follow(name, speed_m_s, noise_m, feed_forward):
     return np.sqrt(np.mean(np.square(errors_m[late:]))), np.sqrt(np.mean(steps**2))
 
 
-@each("name", ["proposed", "extended", "best"])
+@each("name", ["proposed", "best"])
 @each(
     ("speed_m_s", "noise_m", "share", "step_share", "most_m"),
     [(0.1, 0.0, 0.34, 2.0, 0.002), (0.0, 3e-3, 1.2, 1.2, 0.0023)],

@@ -51,16 +51,6 @@ def smooth(duration_s, seed=0):
     return DataSet(stamps, joints, measured(rng, joints), np.zeros(len(stamps), dtype=int))
 
 
-@pytest.fixture(scope="module")
-def data():
-    return probes(5000)
-
-
-@pytest.fixture(scope="module")
-def ridge(data):
-    return train(data, RIDGE)
-
-
 @pytest.mark.torch
 def test_two_minutes_of_the_collectors_motion_suffice():
     told = []
