@@ -14,28 +14,23 @@ from fvs_estimator_node.collecting import CollectionRun, CollectorConfig
 from fvs_estimator_node.files import DataSet, TrainedModel, data_set_of
 from fvs_estimator_node.registry import create_estimator
 from fvs_estimator_node.training import TrainingOptions, train
+from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.experiment import Claim, Context, Drawn, Experiment, Found, TableOf, below, kept, ours
 from fvs_lab.floor import Limits, Scaled, fastest
-from fvs_lab.outcome import BOUNDS_M
 from fvs_lab.results import Results, median
-from fvs_lab.trials import Case, Trial, Variant, apart, drive, photo, relative_errors
+from fvs_lab.trials import Case, Trial, apart, crossed, drive, photo, relative_errors
 from fvs_ros.limits import JointLimits, with_urdf_limits
 from fvs_ros.params import Parameters
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.robot import ROBOTS
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.schemes import scheme
+from fvs_tools.score import SETTLED_ERROR_M
 
 #: Duration of the collector's motion, s.
 MOTION_S = 60.0
 #: Share of the ball's whole way in the data that a target is away, at least.
-_FAR = 0.3
-#: Places in the box of the data where the Jacobian is compared.
-_PLACES = 500
-#: Success in servoing, largest error of the Jacobian, and of a redundant arm's time over the floor.
-SETTLED, ERROR, OVER_FLOOR = 0.98, 0.002, 1.1
-_REDUNDANT = 7
+FAR = 0.3
 
 
 @lru_cache(maxsize=1)
@@ -77,9 +72,9 @@ def learn(arm: str, duration_s: float) -> tuple[TrainedModel, float]:
     trained = train(data, TrainingOptions("poe", seed=1))
     assert trained.chain is not None
     low, high = trained.joint_box_rad
-    places = np.random.default_rng(2).uniform(low, high, (_PLACES, len(names)))
-    true = np.array([simulation.true_jacobian(one) for one in places])
-    return trained, float(np.median(relative_errors(trained.chain.jacobian(places), true)))
+    joints_rad = np.random.default_rng(2).uniform(low, high, (500, len(names)))
+    true = np.array([simulation.true_jacobian(one) for one in joints_rad])
+    return trained, float(np.median(relative_errors(trained.chain.jacobian(joints_rad), true)))
 
 
 def servo(task: tuple[str, int, float]) -> list[dict[str, Any]]:
@@ -95,73 +90,63 @@ def servo(task: tuple[str, int, float]) -> list[dict[str, Any]]:
     equal = Limits(limits.max_joint_velocity_rad_s, limits.max_joint_acceleration_rad_s2)
     kinematics = Scaled(simulation.world.chain, limits.share)
     best = scheme("best")
-    variant = replace(
-        Variant.of(best),
-        labels={"arm": arm, "joints": len(limits.joint_names)},
-        estimator=lambda *_: create_estimator(
+    variant = Trial(
+        best,
+        labels={"arm": arm, "joints": len(limits.joint_names), "learned": error},
+        estimator_of=lambda *_: create_estimator(
             best.method, trained.model, best.estimator_values, trained.chain
         ),
     )
     rng, (low, high) = np.random.default_rng(3), trained.joint_box_rad
-    least_m = _FAR * float(np.ptp(trained.ball_box_m, axis=0).max())
+    least_m = FAR * float(np.ptp(trained.ball_box_m, axis=0).max())
     pairs = apart(simulation, lambda: rng.uniform(low, high, (2, low.size)), least_m)
     rows = []
     for number, pair in enumerate(islice(pairs, count)):
-        trial = Trial(variant, Case(f"{arm} {number + 1}", *pair, number))
+        case = Case(f"{arm} {number + 1}", *pair, number)
+        (trial,) = crossed([variant], [case])
         outcome = drive(trial, simulation)
         start, goal = (tuple(one / limits.share) for one in pair)
-        in_units = replace(trial.case, start_rad=start, goal_rad=goal)
-        floor_s = fastest(in_units, equal, BOUNDS_M["5mm"], kinematics).time_s
-        over = {"learned": error, "over_5mm": outcome.to_5mm_s / floor_s}
-        rows.append(outcome.row(**trial.labels) | over)
+        in_units = replace(case, start_rad=start, goal_rad=goal)
+        floor_s = fastest(in_units, equal, SETTLED_ERROR_M, kinematics).time_s
+        rows.append(outcome.row(**trial.labels, over_5mm=outcome.to_5mm_s / floor_s))
     return rows
 
 
-def measure(context: Context) -> Found:
+def measure(context: lab.Context) -> Results:
     """Measure every arm that is installed."""
     arms = [arm for arm, robot in ROBOTS.items() if robot.installed]
-    count = context.count(50)
     duration_s = 10.0 if context.quick else MOTION_S
-    tasks = [(arm, count, duration_s) for arm in arms[: 1 if context.quick else None]]
-    runs = Results(row for rows in context.map(servo, tasks, "arms") for row in rows)
-    missing = [arm for arm in ROBOTS if arm not in arms]
-    return Found(runs, {"count": count, "missing": missing})
+    tasks = [(arm, context.count(50), duration_s) for arm in context.some(arms, 1)]
+    return Results(row for rows in context.map(servo, tasks, "arms") for row in rows)
 
 
-def claims(found: Found) -> Iterator[Claim]:
+def claims(runs: Results) -> Iterator[lab.Claim]:
     """Judge what is learned, whether it settles, and how fast redundant arms are."""
-    arms = found.runs.groups("arm")
+    arms = runs.groups("arm")
     parts = [
-        kept(f"targets reached by {arm}", runs.values("settled"), SETTLED)
-        for arm, runs in arms.items()
+        lab.kept(f"targets reached by {arm}", group.values("settled"), 0.98)
+        for arm, group in arms.items()
     ]
-    yield ours("settles", *parts)
-    errors = median([runs.values("learned")[0] for runs in arms.values()])
-    yield ours("learned", below("error of the Jacobian", errors, ERROR, 100.0, " %"))
-    spare = found.runs.those(lambda row: row["joints"] >= _REDUNDANT)
-    if spare:
-        yield ours("fast", below("over the floor", spare.median("over_5mm"), OVER_FLOOR))
+    yield lab.ours("settles", *parts)
+    errors = median([group.values("learned")[0] for group in arms.values()])
+    yield lab.ours("learned", lab.below("error of the Jacobian", errors, 0.002, 100.0, " %"))
+    redundant = runs.where(joints=7)
+    if redundant:
+        yield lab.ours("fast", lab.below("over the floor", redundant.median("over_5mm"), 1.1))
 
 
 TABLES = (
-    TableOf(
+    lab.TableOf(
         "arms",
         ("arm", "joints"),
-        (
-            "learned:half",
-            "settled:of",
-            "to_5mm_s:half",
-            "over_5mm",
-            "final_rms_m:half",
-            "failure:causes",
-        ),
+        ("learned:half", "settled:of", "over_5mm", "final_rms_m:half"),
     ),
 )
 
 
-def figures(found: Found) -> Iterator[Drawn]:
+def figures(runs: Results) -> Iterator[lab.Drawn]:
     """Each arm with its ball at its first posture, as its camera sees it."""
-    arms = list(found.runs.groups("arm"))
+    arms = list(runs.groups("arm"))
     columns = min(4, len(arms))
     rows = -(-len(arms) // columns)
     figure, axes = draw.grid(rows, columns, (3.2 * columns, 2.6 * rows))
@@ -174,4 +159,4 @@ def figures(found: Found) -> Iterator[Drawn]:
     yield "arms", figure, {}
 
 
-EXPERIMENT = Experiment("arms", measure, claims, TABLES, figures, globals(), model="")
+EXPERIMENT = lab.Experiment("arms", measure, claims, TABLES, globals(), figures, model="")

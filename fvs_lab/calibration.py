@@ -171,7 +171,7 @@ def least_squares_pose(
     return rotation, kin.points_m[0] - rotation @ found.points_m[0]
 
 
-def measure(context: lab.Context) -> lab.Found:
+def measure(context: lab.Context) -> Results:
     """Calibrate by motion and by taught poses, with many seeds."""
     seeds = range(1, 1 + context.count(20))
     duration_s = 10.0 if context.quick else MOTION_S
@@ -180,24 +180,23 @@ def measure(context: lab.Context) -> lab.Found:
     motion = context.map(by_motion, tasks, "motion")
     taught = context.map(by_solvers, seeds, "taught poses")
     rows = [row for some in (*motion, *taught) for row in some]
-    facts = {"count": len(seeds), "opencv": cv2.__version__, "solvers": bool(_SOLVE)}
-    return lab.Found(Results(rows), facts, facts)
+    return Results(rows)
 
 
-def claims(found: lab.Found) -> Iterator[lab.Claim]:
+def claims(runs: Results) -> Iterator[lab.Claim]:
     """Accuracy, honesty, and the classic solvers."""
-    motion = found.runs.those(lambda row: row["scheme"] in MOTION)
+    motion = runs.those(lambda row: row["scheme"] in MOTION)
     for zeros_deg, (place_m, turn_deg) in LIMITS.items():
-        runs = motion.where(zeros_deg=zeros_deg)
-        good = [row["place_m"] < place_m and row["turn_deg"] < turn_deg for row in runs]
+        group = motion.where(zeros_deg=zeros_deg)
+        good = [row["place_m"] < place_m and row["turn_deg"] < turn_deg for row in group]
         yield lab.ours("exact" if zeros_deg == 0.0 else "zeros", lab.kept("runs", good, 1.0))
-        others = found.runs.where(zeros_deg=zeros_deg).groups("scheme")
+        others = runs.where(zeros_deg=zeros_deg).groups("scheme")
         parts = []
         for column, label, factor in (("place_m", "place, mm", 1e3), ("turn_deg", "turn, °", 1.0)):
             medians = [
                 one.median(column).value for name, one in others.items() if name not in MOTION
             ]
-            parts.append(lab.below(label, runs.median(column), min(medians), factor))
+            parts.append(lab.below(label, group.median(column), min(medians), factor))
         yield lab.ours("solvers", *parts, zeros=zeros_deg)
     yield lab.ours("honest", lab.kept("runs", motion.values("inside"), 0.9))
 
@@ -206,20 +205,20 @@ TABLES = (
     lab.TableOf(
         "schemes",
         ("scheme",),
-        ("place_m:half", "place_m:most", "turn_deg:half", "turn_deg:most", "inside:of"),
+        ("place_m:half", "place_m:largest", "turn_deg:half", "turn_deg:largest", "inside:of"),
         across="zeros_deg",
     ),
 )
 
 
-def figures(found: lab.Found) -> Iterator[lab.Drawn]:
+def figures(runs: Results) -> Iterator[lab.Drawn]:
     """Errors of place and turn, a dot per seed."""
     figure, axes = draw.grid(2, 2, (12.0, 7.0), sharey="row")
-    for row, runs in zip(axes, found.runs.groups("zeros_deg").values(), strict=True):
+    for row, group in zip(axes, runs.groups("zeros_deg").values(), strict=True):
         for axis, column in zip(row, ("place_m", "turn_deg"), strict=True):
-            draw.dots_of(axis, runs, "scheme", column)
+            draw.dots_of(axis, group, "scheme", column)
             axis.set_xscale("log")
     yield "errors", figure, {}
 
 
-EXPERIMENT = lab.Experiment("calibration", measure, claims, TABLES, figures, globals())
+EXPERIMENT = lab.Experiment("calibration", measure, claims, TABLES, globals(), figures)

@@ -1,4 +1,4 @@
-"""The schemes that are compared beyond the paper, with the limits that all have."""
+"""The schemes that are compared, with the limits that all have, and the least time possible."""
 
 from __future__ import annotations
 
@@ -6,37 +6,35 @@ from dataclasses import replace
 from typing import Any
 
 from fvs_lab.floor import Limits, fastest
-from fvs_lab.outcome import BOUNDS_M
-from fvs_lab.search import CLIPPED, ORACLE, ORACLES, PROPOSED
-from fvs_lab.trials import Case, Variant
+from fvs_lab.trials import Case, Conditions, Trial
 from fvs_ros.chain import SerialChain
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
+from fvs_tools.score import SETTLED_ERROR_M
 
-EXTENDED, BEST = "extended", "best"
-FROZEN, BEST_ORACLE = "frozen", "oracle, law of best"
-#: Of every joint.
-LIMITS = Limits(*CLIPPED.values())
-
-#: All of them, with the defaults of the nodes except for what is named here.
+#: Limits as on a real arm, the nodes' defaults; and out of the way, the largest that the controller
+#: takes.
+CLIPPED = {"max_joint_velocity_rad_s": 1.0, "max_joint_acceleration_rad_s2": 6.0}
+FREE = {"max_joint_velocity_rad_s": 3.14, "max_joint_acceleration_rad_s2": 40.0}
+#: True positions with the same noise.
+EXACT = Conditions(rendered=False)
+ORACLE = "oracle, proportional"
+#: The contestants, with the defaults of the nodes: the paper's, laws that are told the true
+#: Jacobian, and those beyond the paper.
 CONTESTANTS: dict[str, Scheme] = {
-    one.name: one
-    for one in (
-        *SCHEMES.values(),
-        *BEYOND.values(),
-        ORACLES[ORACLE],
-        replace(SCHEMES[PROPOSED], name=FROZEN, method="frozen"),
-        replace(BEYOND[BEST], name=BEST_ORACLE, method="oracle", estimator_values={}),
-    )
+    **SCHEMES,
+    ORACLE: Scheme(ORACLE, "oracle", "proportional", ""),
+    **BEYOND,
+    "oracle, law of best": replace(
+        BEYOND["best"], name="oracle, law of best", method="oracle", estimator_values={}
+    ),
 }
-#: The paper's schemes and the oracle have neither additions nor searched gains.
-PUBLISHED = (*SCHEMES, ORACLE)
+
+
+def variant(name: str, conditions: Conditions = EXACT, **labels: Any) -> Trial:
+    """A contestant with the limits that all have, and further labels."""
+    return Trial.of(CONTESTANTS[name], conditions).changed(labels, controller=CLIPPED)
 
 
 def floor_s(case: Case, arm: SerialChain | None = None) -> float:
     """Least time until the ball stays within 5 mm, by the joints' limits, s."""
-    return fastest(case, LIMITS, BOUNDS_M["5mm"], arm).time_s
-
-
-def variant(name: str, **controller_values: Any) -> Variant:
-    """A contestant with the limits that all have, and further parameters of its controller."""
-    return Variant.of(CONTESTANTS[name], **CLIPPED, **controller_values)
+    return fastest(case, Limits(*CLIPPED.values()), SETTLED_ERROR_M, arm).time_s

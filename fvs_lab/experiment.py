@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,15 +19,8 @@ from fvs_lab.figures import save
 from fvs_lab.outcome import Outcome
 from fvs_lab.report import Words
 from fvs_lab.results import Interval, Results, table
-from fvs_lab.trials import Conditions, Trial, run_trial
+from fvs_lab.trials import Trial, run_trial
 from fvs_ros.kinds.ball import Ball
-
-PAPER, OURS = "the paper's", "ours"
-_WORDS = {True: "holds", False: "does not hold", None: "undecided"}
-
-#: Of a quick run: the longest trial, s, and conditions that compute faster.
-_QUICK_S = 0.5
-_QUICK: Mapping[str, Any] = {"rendered": False, "physics_rate_hz": 125.0}
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -61,9 +54,9 @@ class Context:
         """Number of seeded cases; a quick run has one."""
         return self.seeds or (1 if self.quick else default)
 
-    def conditions(self, **changes: Any) -> Conditions:
-        """The laboratory's standard conditions, with changes."""
-        return Conditions(**{**changes, **(_QUICK if self.quick else {})})
+    def some(self, items: Iterable[T], count: int) -> list[T]:
+        """All items, or the first few in a quick run."""
+        return list(items)[: count if self.quick else None]
 
     def map(self, function: Callable[[T], R], items: Iterable[T], label: str) -> list[R]:
         """Apply a function to all items, on all cores, with a progress bar.
@@ -82,14 +75,11 @@ class Context:
         return list(tqdm(done, desc=label, total=len(items), leave=False, disable=None))
 
     def outcomes(self, trials: Iterable[Trial], label: str) -> list[Outcome]:
-        """Run trials; those of a quick run are short."""
+        """Run trials; those of a quick run take half a second, and compute faster."""
         if self.quick:
+            faster = {"rendered": False, "physics_rate_hz": 125.0}
             trials = [
-                replace(
-                    one,
-                    duration_s=min(one.duration_s, _QUICK_S),
-                    conditions=replace(one.conditions, **_QUICK),
-                )
+                one.changed(conditions=faster, duration_s=min(one.duration_s, 0.5))
                 for one in trials
             ]
         return self.map(run_trial, trials, label)
@@ -103,8 +93,8 @@ class Context:
         """Run trials: a row each, with further columns by ``measure``."""
         trials = list(trials)
         return Results(
-            outcome.row(**one.labels) | dict(measure(outcome))
-            for one, outcome in zip(trials, self.outcomes(trials, label), strict=True)
+            outcome.row(**trial.labels) | dict(measure(outcome))
+            for trial, outcome in zip(trials, self.outcomes(trials, label), strict=True)
         )
 
 
@@ -127,51 +117,49 @@ class Part:
 
 def below(label: str, one: Interval, bound: float, factor: float = 1.0, unit: str = "") -> Part:
     """A number whose whole interval must be below a bound."""
-    text = f"{one.text(2, factor)}{unit}, asked: below {factor * bound:.3g}{unit}"
+    text = f"{one.text(2, factor)}{unit} (below {factor * bound:.3g}{unit})"
     return Part(label, text, one.below(bound), one.high / bound)
 
 
 def above(label: str, one: Interval, bound: float) -> Part:
     """A number whose whole interval must be above a bound."""
-    text = f"{one.text()}, asked: above {bound:g}"
+    text = f"{one.text()} (above {bound:g})"
     return Part(label, text, one.above(bound), bound / max(one.low, 1e-12))
 
 
 def share_above(label: str, one: Interval, bound: float) -> Part:
     """A share whose whole Wilson interval must be above a bound."""
     hits = round(one.value * one.count)
-    text = f"{hits} of {one.count}, {one.text(1, 1e2)} %, asked: {100 * bound:g} %"
-    return Part(label, text, one.above(bound), bound / max(one.low, 1e-12))
+    text = f"{hits} of {one.count}, {one.text(1, 1e2)} % ({100 * bound:g} %)"
+    return replace(above(label, one, bound), measured=text)
 
 
 def kept(label: str, hits: Sequence[bool], least: float) -> Part:
     """A plain share (no interval) that must reach ``least``; undecided without runs."""
-    share = sum(hits) / len(hits) if hits else 0.0
-    text = f"{sum(hits)} of {len(hits)}, asked: {100 * least:.0f} %"
-    return Part(label, text, share >= least if hits else None)
+    text = f"{sum(hits)} of {len(hits)} ({100 * least:.0f} %)"
+    return Part(label, text, sum(hits) >= least * len(hits) if hits else None)
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim, its author, and the numbers that decide it."""
+    """A claim, and the numbers that decide it: all, or one of them with ``any_of``.
 
-    #: The template's macro ``claim_NAME`` states it.
+    The template's macro ``claim_NAME`` states it, with some arguments.
+    """
+
     name: str
-    #: ``PAPER`` or ``OURS``.
-    whose: str
-    #: All must hold, or with ``any_of`` one of them.
     parts: Sequence[Part]
+    of_paper: bool = False
     any_of: bool = False
-    #: Arguments of the macro.
-    given: Mapping[str, Any] = field(default_factory=dict)
+    arguments: Mapping[str, Any] | None = None
 
     @property
     def holds(self) -> bool | None:
         """Whether the claim holds; None if undecided."""
-        found = [part.holds for part in self.parts]
-        if self.any_of in found:
+        verdicts = [part.holds for part in self.parts]
+        if self.any_of in verdicts:
             return self.any_of
-        return None if None in found else not self.any_of
+        return None if None in verdicts else not self.any_of
 
     @property
     def decisive(self) -> Part:
@@ -179,30 +167,27 @@ class Claim:
         alike = [part for part in self.parts if part.holds is self.holds]
         return (min if self.any_of else max)(alike, key=lambda part: part.margin)
 
+    def verdict(self, words: Words) -> dict[str, Any]:
+        """Its row on the page."""
+        return {
+            "word": {True: "holds", False: "does not hold", None: "undecided"}[self.holds],
+            "claim": words(f"claim_{self.name}", **(self.arguments or {})),
+            "finding": f"{self.decisive.label}: {self.decisive.measured}",
+            "whose": "paper" if self.of_paper else "ours",
+        }
 
-def ours(name: str, *parts: Part, any_of: bool = False, **given: Any) -> Claim:
+
+def ours(name: str, *parts: Part, any_of: bool = False, **arguments: Any) -> Claim:
     """A claim of this project."""
-    return Claim(name, OURS, parts, any_of, given)
+    return Claim(name, parts, False, any_of, arguments)
 
 
-def papers(name: str, *parts: Part, any_of: bool = False, **given: Any) -> Claim:
+def papers(name: str, *parts: Part, any_of: bool = False, **arguments: Any) -> Claim:
     """A claim of the paper."""
-    return Claim(name, PAPER, parts, any_of, given)
+    return Claim(name, parts, True, any_of, arguments)
 
 
-# ---- what is found and shown ----------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Found:
-    """What an experiment measured."""
-
-    #: The tidy table; goes to results.json without time series.
-    runs: Results
-    #: Further variables of the template.
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    #: What else goes to results.json: seeds, cases, parameters.
-    data: Mapping[str, Any] = field(default_factory=dict)
+# ---- what is shown --------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -217,13 +202,13 @@ class TableOf:
     by: Sequence[str]
     columns: Sequence[str]
     #: Rows of the tidy table with these values.
-    where: Mapping[str, Any] = field(default_factory=dict)
+    where: Mapping[str, Any] | None = None
     #: A column whose values stand side by side.
     across: str = ""
 
     def of(self, runs: Results) -> list[dict[str, str]]:
         """The table's rows of these runs."""
-        return table(runs.where(**self.where), self.by, self.columns, self.across)
+        return table(runs.where(**(self.where or {})), self.by, self.columns, self.across)
 
 
 #: A figure by the name of its macro, with the macro's arguments.
@@ -232,16 +217,16 @@ Drawn = tuple[str, Any, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment: its measurement, claims, tables and figures."""
+    """An experiment: its tidy table, and what is claimed and shown of it."""
 
     #: Of its module, its template and its folder.
     name: str
-    measure: Callable[[Context], Found]
-    claims: Callable[[Found], Iterable[Claim]]
+    measure: Callable[[Context], Results]
+    claims: Callable[[Results], Iterable[Claim]]
     tables: Sequence[TableOf]
-    figures: Callable[[Found], Iterable[Drawn]]
-    #: The module's names, which are variables of the template beside what was found.
+    #: The module's names, which are variables of the template beside the ``runs``.
     names: Mapping[str, Any]
+    figures: Callable[[Results], Iterable[Drawn]] = lambda _: ()
     #: Name of the template; by default the experiment's.
     template: str = ""
     #: The shipped model that it uses; empty for none.
@@ -249,30 +234,15 @@ class Experiment:
 
     def run(self, context: Context) -> dict[str, Any]:
         """Measure, judge, tabulate and draw: a report for :func:`fvs_lab.report.write_report`."""
-        found = self.measure(context)
-        words = Words(self.template or self.name, {**self.names, **found.facts})
+        runs = self.measure(context)
+        words = Words(self.template or self.name, {**self.names, "runs": runs})
         figures = []
-        for name, drawing, given in self.figures(found):
-            file = re.sub(r"\W+", "_", "_".join([name, *map(str, given.values())])) + ".png"
+        for name, drawing, arguments in self.figures(runs):
+            file = re.sub(r"\W+", "_", "_".join([name, *map(str, arguments.values())])) + ".png"
             save(drawing, context.folder(self.name) / file)
-            figures.append({"file": file, "caption": words(f"figure_{name}", **given)})
+            figures.append({"file": file, "caption": words(f"figure_{name}", **arguments)})
         tables = [
-            {"caption": words(f"table_{one.name}"), "rows": one.of(found.runs)}
-            for one in self.tables
-        ]
-        verdicts = [
-            {
-                "claim": words(f"claim_{claim.name}", **claim.given),
-                "finding": f"{claim.decisive.label}: {claim.decisive.measured}",
-                "word": _WORDS[claim.holds],
-                "whose": claim.whose,
-                "parts": claim.parts,
-            }
-            for claim in self.claims(found)
-            if claim.parts
-        ]
-        runs = [
-            {name: value for name, value in row.items() if name != "series"} for row in found.runs
+            {"caption": words(f"table_{one.name}"), "rows": one.of(runs)} for one in self.tables
         ]
         return {
             "name": self.name,
@@ -281,6 +251,6 @@ class Experiment:
             "setup": words.paragraphs("setup"),
             "figures": figures,
             "tables": [table for table in tables if table["rows"]],
-            "verdicts": verdicts,
-            "data": {**found.data, "runs": runs},
+            "verdicts": [claim.verdict(words) for claim in self.claims(runs) if claim.parts],
+            "runs": [{name: row[name] for name in row if name != "series"} for row in runs],
         }

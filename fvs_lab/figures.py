@@ -79,10 +79,9 @@ def shades(count: int) -> list[Any]:
     return list(pyplot().get_cmap("viridis")(np.linspace(0.0, 0.92, count)))
 
 
-def bound_line(axis: Axes, bound: float, upright: bool = False) -> None:
+def bound_line(axis: Axes, bound: float) -> None:
     """Draw a thin dotted line at a bound."""
-    draw = axis.axvline if upright else axis.axhline
-    draw(bound, color="black", linewidth=0.8, linestyle=":")
+    axis.axhline(bound, color="black", linewidth=0.8, linestyle=":")
 
 
 def plain_ticks(axis: Axes, ticks: Sequence[float]) -> None:
@@ -103,35 +102,31 @@ def legend(figure: Figure, columns: int = 4) -> None:
 
 # ---- over time ------------------------------------------------------------------------------
 
-#: A curve of a run: label of its axis, and the numbers of its row.
-Signal = tuple[str, Callable[[Mapping[str, Any]], np.ndarray]]
-
-ERROR: Signal = (
-    "distance to the target, mm",
-    lambda row: 1e3 * np.maximum(row["series"]["error_m"], 1e-6),
-)
-
 
 def over_time(
-    axis: Axes, runs: Results, signal: Signal, by: str, looks: Mapping[Any, Mapping[str, Any]]
+    axis: Axes,
+    runs: Results,
+    curve: Callable[[Mapping[str, Any]], np.ndarray],
+    by: str,
+    looks: Mapping[Any, Mapping[str, Any]],
 ) -> None:
-    """Draw a line per value of a column: the median of its runs, which have the same times.
+    """Draw a line per value of a column: the median of its runs' curves, at the same times.
 
     Those without a look (matplotlib's settings of a line) are left out.
     """
-    for name, some in runs.groups(by).items():
+    for name, group in runs.groups(by).items():
         if name in looks:
-            curves = np.ma.masked_invalid([signal[1](row) for row in some])
+            curves = np.ma.masked_invalid([curve(row) for row in group])
             middle = np.ma.median(curves, axis=0).filled(np.nan)
-            time_s = some.rows[0]["series"]["time_s"]
+            time_s = group.rows[0]["series"]["time_s"]
             axis.plot(time_s, middle, **({"label": str(name)} | dict(looks[name])))
 
 
 def errors_over_time(
     axis: Axes, runs: Results, by: str, looks: Mapping[Any, Mapping[str, Any]]
 ) -> None:
-    """Draw the error on a logarithmic axis, with the bound of 5 mm."""
-    over_time(axis, runs, ERROR, by, looks)
+    """Draw the distance to the target, mm, on a logarithmic axis, with the bound of 5 mm."""
+    over_time(axis, runs, lambda row: 1e3 * np.maximum(row["series"]["error_m"], 1e-6), by, looks)
     bound_line(axis, 5.0)
     axis.set(yscale="log", ylim=(0.05, 600.0))
 

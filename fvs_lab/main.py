@@ -21,10 +21,10 @@ from fvs_ros.paths import version
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 if TYPE_CHECKING:
-    from fvs_lab.experiment import Context, Experiment
+    from fvs_lab.experiment import Experiment
 
-_NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
-_REPLAY_NEEDS = ("rosbags", "matplotlib")
+#: Packages that the experiments need.
+NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -56,15 +56,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--quick", action="store_true", help="run a small part of everything, as a smoke test"
     )
-    alone = parser.add_argument_group(
-        "everyday, tags and robustness",
-        "Random worlds; the same number is the same world, whatever the others.",
-    )
-    alone.add_argument(
-        "--trial", type=_positive, metavar="NUMBER", help="run this world alone: text and a picture"
-    )
-    alone.add_argument(
-        "--scheme", action="append", default=[], help="only this scheme (repeatable; default: all)"
+    parser.add_argument(
+        "--scheme",
+        action="append",
+        default=[],
+        help=f"only this scheme, of {', '.join(LONG)} (repeatable; default: all)",
     )
     return parser
 
@@ -89,22 +85,22 @@ def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_experiments``; returns the exit code."""
     given = sys.argv[1:] if argv is None else argv
     if given[:1] == ["replay"]:
-        if _lacks("fvs_experiments replay", _REPLAY_NEEDS, "record,lab"):
+        if _lacks("fvs_experiments replay", ("rosbags", "matplotlib"), "record,lab"):
             return EXIT_BAD_INPUT
         from fvs_lab.replay import main as replay
 
         return replay(given[1:])
     parser = _parser()
     arguments = parser.parse_args(given)
-    if arguments.name not in LONG and (arguments.trial or arguments.scheme):
-        parser.error(f"--trial and --scheme are for {' and '.join(LONG)}")
+    if arguments.name not in LONG and arguments.scheme:
+        parser.error(f"--scheme is for {' and '.join(LONG)}")
     if arguments.name == "replay":
         parser.error("replay comes first: fvs_experiments replay BAG")
-    if _lacks("fvs_experiments", _NEEDS, "ros,sim,lab"):
+    if _lacks("fvs_experiments", NEEDS, "ros,sim,lab"):
         return EXIT_BAD_INPUT
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
-        (arguments.out / "index.html").touch()
+        (arguments.out / "index.md").touch()
     except OSError as error:
         why = error.strerror or error
         print(f"fvs_experiments: cannot write to --out {arguments.out}: {why}", file=sys.stderr)
@@ -118,9 +114,13 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     from fvs_lab.experiment import Context
-    from fvs_lab.robustness import contestants_called, rerun
-    from fvs_lab.worlds import KINDS
+    from fvs_lab.robustness import schemes_called
 
+    try:
+        schemes_called(arguments.scheme)
+    except ValueError as error:
+        print(f"fvs_experiments: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
     context = Context(
         out=arguments.out,
         seeds=arguments.seeds,
@@ -128,27 +128,6 @@ def _run(arguments: argparse.Namespace) -> int:
         quick=arguments.quick,
         schemes=tuple(arguments.scheme),
     )
-    try:
-        contestants_called(context.schemes)
-    except ValueError as error:
-        print(f"fvs_experiments: {error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
-    if arguments.trial:
-        rerun(context, KINDS[arguments.name], arguments.trial)
-        return EXIT_OK
-    return _measure(context, arguments)
-
-
-def experiment_called(name: str) -> Experiment:
-    """The experiment of a name; only its own module is imported."""
-    if name in LONG:
-        from fvs_lab.robustness import EXPERIMENTS as LONG_ONES
-
-        return LONG_ONES[name]
-    return importlib.import_module(f"fvs_lab.{name}").EXPERIMENT
-
-
-def _measure(context: Context, arguments: argparse.Namespace) -> int:
     most = [name for name in EXPERIMENTS if name not in LONG]
     names = most if arguments.name == "all" else [arguments.name]
     began_s = time.monotonic()
@@ -164,6 +143,15 @@ def _measure(context: Context, arguments: argparse.Namespace) -> int:
         page = write_page(context.out)
     print(f"page: {page} ({(time.monotonic() - began_s) / 60.0:.1f} min)", flush=True)
     return EXIT_OK
+
+
+def experiment_called(name: str) -> Experiment:
+    """The experiment of a name; only its own module is imported."""
+    if name in LONG:
+        from fvs_lab.robustness import EXPERIMENTS as LONG_ONES
+
+        return LONG_ONES[name]
+    return importlib.import_module(f"fvs_lab.{name}").EXPERIMENT
 
 
 def _origin(arguments: argparse.Namespace, model: str) -> dict[str, Any]:

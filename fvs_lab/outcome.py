@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command
-from fvs_tools.score import FINAL_S, FINE_ERROR_M, SETTLED_ERROR_M, jitter_rad_s, settling_time_s
+from fvs_tools.score import (
+    FINAL_S,
+    FINE_ERROR_M,
+    SETTLED_ERROR_M,
+    jitter_rad_s,
+    settling_time_s,
+)
 
-#: Error bounds of the settling times, m, by the ends of their columns.
-BOUNDS_M = {"5mm": SETTLED_ERROR_M, "2mm": FINE_ERROR_M}
 #: Ticks between comparisons of the Jacobian in use with the true one.
 JACOBIAN_EVERY = 5
-#: Cause of a failure: the ball came near, and left again.
-NOT_STAYED = "reached 5 mm, but did not stay"
 
 
 @dataclass(frozen=True)
@@ -43,26 +45,18 @@ class Outcome:
     failure: str
     #: The target, camera frame, m; after a bump, in the frame of the moved camera.
     target_m: tuple[float, ...]
-    #: The controller's last status text in a run that failed.
-    said: str = ""
     #: ``time_s`` (n,), ``ball_m`` and ``exponent`` (n, m), ``error_m`` (n,), ``command_rad_s``
     #: (n, joints); empty unless recorded.
     series: dict[str, np.ndarray] = field(default_factory=dict)
 
     def row(self, **labels: Any) -> dict[str, Any]:
         """A row of the tidy table: labels, then ``settled`` and all fields."""
-        values = {one.name: getattr(self, one.name) for one in fields(self)}
-        return {**labels, "settled": not self.failure, **values}
-
-
-def seconds(value: float | None) -> float:
-    """A settling time as a number: infinite for never."""
-    return float("inf") if value is None else value
+        return {**labels, "settled": not self.failure, **vars(self)}
 
 
 def outcome_of(
     times_s: np.ndarray,
-    balls_m: np.ndarray,
+    features_m: np.ndarray,
     errors_m: np.ndarray,
     target_m: np.ndarray,
     commands: Sequence[Command],
@@ -71,17 +65,17 @@ def outcome_of(
 ) -> Outcome:
     """Judge a run of n ticks.
 
-    Times since the target was given, s, and errors from it, m, shape (n,); balls, m, (n, m), and
-    the last target, m, (m,), in the camera frame; errors of the Jacobian of every
+    Times since the target was given, s, and errors from it, m, shape (n,); features, m, (n, m),
+    and the last target, m, (m,), in the camera frame; errors of the Jacobian of every
     ``JACOBIAN_EVERY``-th tick. ``record`` keeps the time series.
     """
     speeds = np.array([one.velocity_rad_s for one in commands])
     settled_s, fine_s = (
-        seconds(settling_time_s(times_s, errors_m, bound)) for bound in BOUNDS_M.values()
+        float("inf") if (time_s := settling_time_s(times_s, errors_m, bound)) is None else time_s
+        for bound in (SETTLED_ERROR_M, FINE_ERROR_M)
     )
     last = times_s > times_s[-1] - FINAL_S
     moving = times_s <= settled_s
-    failure = "" if np.isfinite(settled_s) else _cause(errors_m, commands)
     serving = commands[-1].state is State.SERVOING
     series = {}
     if record:
@@ -90,7 +84,7 @@ def outcome_of(
         unknown = np.full_like(known[0] if known else np.empty(0), np.nan)
         series = {
             "time_s": times_s,
-            "ball_m": balls_m,
+            "ball_m": features_m,
             "error_m": errors_m,
             "command_rad_s": speeds,
             "exponent": np.array([unknown if one is None else one for one in exponents]),
@@ -104,17 +98,16 @@ def outcome_of(
         peak_joint_speed_rad_s=float(np.abs(speeds).max()),
         limited_share=float(np.mean([bool(one.active_limit) for one in commands], where=moving)),
         jacobian_error=float(np.mean(jacobian_errors[moving[::JACOBIAN_EVERY]])),
-        failure=failure,
+        failure="" if np.isfinite(settled_s) else _cause(times_s, errors_m, commands[-1]),
         target_m=tuple(target_m.tolist()),
-        said=commands[-1].text if failure else "",
         series=series,
     )
 
 
-def _cause(errors_m: np.ndarray, commands: Sequence[Command]) -> str:
+def _cause(times_s: np.ndarray, errors_m: np.ndarray, end: Command) -> str:
     """Why a run did not settle."""
-    if commands[-1].state is not State.SERVOING:
-        return f"held: {commands[-1].reason.name.lower().replace('_', ' ')}"
-    if errors_m[-125:].min() < BOUNDS_M["5mm"]:
-        return NOT_STAYED
+    if end.state is not State.SERVOING:
+        return f"held: {end.reason.name.lower().replace('_', ' ')}"
+    if errors_m[times_s > times_s[-1] - FINAL_S].min() < SETTLED_ERROR_M:
+        return "reached 5 mm, but did not stay"
     return "too slow" if errors_m[-1] < 0.9 * errors_m[0] else "did not get nearer"

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, is_dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-RESULTS = "results.json"
 #: The experiments in the order of the page, and what they are about.
 EXPERIMENTS = {
     "servo": "Figures 8, 9 and 10: four schemes drive the ball to its target, tuned alike.",
@@ -22,8 +19,7 @@ EXPERIMENTS = {
     "settling": "Does the settling time keep its promise? Measured against (36)-(39).",
     "ablation": "One change at a time: what each part of the proposed scheme is worth.",
     "tuning": "What the parameters do that one tunes first, one at a time.",
-    "beyond": "What the additions to the paper are worth: a minute of data, least time, moved "
-    "cameras.",
+    "beyond": "What the additions to the paper are worth: least time, moved cameras and targets.",
     "calibration": "The camera in the arm's frame, beside the classic hand-eye solvers.",
     "arms": "Arms by other authors: learned from a minute of motion and servoed.",
     "pose": "The pose of a tag: every scheme, images, and a calibrated camera.",
@@ -37,14 +33,14 @@ LONG = ("everyday", "tags", "robustness")
 
 
 class Words:
-    """The sentences of an experiment, from its template with the facts as variables."""
+    """The sentences of an experiment, from its template with its names as variables."""
 
-    def __init__(self, name: str, facts: Mapping[str, Any]) -> None:
-        self._macros = _template(f"{name}.jinja").make_module(dict(facts))
+    def __init__(self, name: str, names: Mapping[str, Any]) -> None:
+        self._macros = _template(f"{name}.jinja").make_module(dict(names))
 
-    def __call__(self, macro: str, **given: Any) -> str:
+    def __call__(self, macro: str, **arguments: Any) -> str:
         """The text of a macro as one line."""
-        return " ".join(getattr(self._macros, macro)(**given).split())
+        return " ".join(getattr(self._macros, macro)(**arguments).split())
 
     def paragraphs(self, macro: str) -> list[str]:
         """The text of a macro, a line for each paragraph."""
@@ -52,16 +48,12 @@ class Words:
         return [" ".join(one.split()) for one in re.split(r"\n\s*\n", text)]
 
 
-def _template(name: str, escape: bool = False):
+def _template(name: str):
     """A template of this package; a block's own line leaves none."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=escape,
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
     return environment.from_string(files("fvs_lab").joinpath(name).read_text("utf-8"))
 
@@ -72,33 +64,21 @@ def write_report(report: Mapping[str, Any], folder: Path) -> None:
     Not finite numbers become null, others are rounded to seven digits.
     """
     text = json.dumps(_plain(report), separators=(",", ":"), allow_nan=False)
-    (folder / RESULTS).write_text(text + "\n", encoding="utf-8")
+    (folder / "results.json").write_text(text + "\n", encoding="utf-8")
 
 
 def write_page(out: Path) -> Path:
-    """Write ``index.html`` from all results in a folder, pictures included; return its path.
-
-    The Markdown beside it has the same words and tables, and links to the pictures.
-    """
-    reports = []
-    for path in (out / name / RESULTS for name in EXPERIMENTS):
-        if path.is_file():
-            report = json.loads(path.read_text(encoding="utf-8"))
-            for figure in report["figures"]:
-                png = (path.parent / figure["file"]).read_bytes()
-                figure["data"] = base64.b64encode(png).decode("ascii")
-            reports.append(report)
-    for name, escape in (("html", True), ("md", False)):  # Markdown has nothing to escape
-        text = _template(f"page.{name}.jinja", escape).render(reports=reports)
-        (out / f"index.{name}").write_text(text, encoding="utf-8")
-    return out / "index.html"
+    """Write ``index.md`` from all results in a folder, which links to the pictures."""
+    paths = [out / name / "results.json" for name in EXPERIMENTS]
+    reports = [json.loads(path.read_text("utf-8")) for path in paths if path.is_file()]
+    page = out / "index.md"
+    page.write_text(_template("page.jinja").render(reports=reports), encoding="utf-8")
+    return page
 
 
 def _plain(value: Any) -> Any:
     """JSON's types: arrays as lists, numbers rounded, what is not finite as null."""
-    if is_dataclass(value) and not isinstance(value, type):
-        value = asdict(value)
-    elif isinstance(value, np.ndarray | np.generic):
+    if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
         return {str(key): _plain(one) for key, one in value.items()}
@@ -106,6 +86,4 @@ def _plain(value: Any) -> Any:
         return [_plain(one) for one in value]
     if isinstance(value, float):
         return float(f"{value:.7g}") if np.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    raise TypeError(f"{type(value).__name__} cannot be written to {RESULTS}")
+    return value

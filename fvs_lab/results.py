@@ -10,10 +10,6 @@ from typing import Any
 
 import numpy as np
 
-_RESAMPLES, _LEVEL = 2000, 0.95
-#: With fewer runs not even the whole range of the data is a 95 % interval of their median.
-DECISIVE = 6
-
 # ---- statistics -----------------------------------------------------------------------------
 
 
@@ -24,8 +20,9 @@ class Interval:
     value: float
     low: float
     high: float
-    #: Number of runs behind it; fewer than ``DECISIVE`` decide nothing.
-    count: int = DECISIVE
+    #: Number of cases behind it. With fewer than six, not even the whole range of the data is a
+    #: 95 % interval of their median: they decide nothing.
+    count: int = 6
 
     def text(self, digits: int = 2, factor: float = 1.0) -> str:
         """``0.62 [0.58, 0.71]``, in another unit by a factor."""
@@ -41,54 +38,56 @@ class Interval:
         return self._decided(self.high < bound, self.low > bound)
 
     def _decided(self, yes: bool, no: bool) -> bool | None:
-        return yes if self.count >= DECISIVE and yes != no else None
+        return yes if self.count >= 6 and yes != no else None
 
 
 def median(values: Sequence[float], repeats: int = 1) -> Interval:
     """Median and its bootstrap interval (percentiles of resampled medians).
 
-    Infinite values are runs that never settled. ``repeats`` is the number of searches whose runs
-    of the same cases follow one another; the bootstrap then resamples both cases and searches.
+    Infinite values are runs that never settled. With ``repeats``, the values of as many runs of
+    the same cases follow one another; cases are resampled.
     """
-    data = np.asarray(values, dtype=float)
-    return _bootstrapped(lambda chosen: np.median(data[chosen], axis=-1), data.size, repeats)
+    return _bootstrapped(_median, np.reshape(values, (1, repeats, -1)))
 
 
 def ratio_of_medians(
     numerator: Sequence[float], denominator: Sequence[float], repeats: int = 1
 ) -> Interval:
     """Ratio of two medians over the same cases in the same order, by a paired bootstrap."""
-    above, below = np.asarray(numerator, dtype=float), np.asarray(denominator, dtype=float)
-    if above.shape != below.shape:
-        raise ValueError(f"paired runs must be as many: got {above.size} and {below.size}")
+    if len(numerator) != len(denominator):
+        raise ValueError(
+            f"paired runs must be as many: got {len(numerator)} and {len(denominator)}"
+        )
 
-    def ratio(chosen: np.ndarray) -> np.ndarray:
+    def ratio(runs: np.ndarray) -> np.ndarray:
+        above, below = _median(runs)
         with np.errstate(invalid="ignore", divide="ignore"):
-            ratios = np.median(above[chosen], axis=-1) / np.median(below[chosen], axis=-1)
-        return np.where(np.isnan(ratios), np.inf, ratios)
+            return np.nan_to_num(above / below, nan=np.inf, posinf=np.inf)
 
-    return _bootstrapped(ratio, above.size, repeats)
+    return _bootstrapped(ratio, np.reshape([numerator, denominator], (2, repeats, -1)))
 
 
 def wilson(hits: int, count: int) -> Interval:
     """A share and Wilson's 95 % interval, which holds near 0 and 1 as well."""
     from scipy.stats import binomtest
 
-    ends = binomtest(hits, count).proportion_ci(_LEVEL, method="wilson")
+    ends = binomtest(hits, count).proportion_ci(method="wilson")
     return Interval(hits / count, float(ends.low), float(ends.high), count)
 
 
-def _bootstrapped(
-    statistic: Callable[[np.ndarray], np.ndarray], count: int, repeats: int = 1
-) -> Interval:
-    """A statistic of the runs with some numbers, (..., n), over drawn cases of drawn repeats."""
-    rng, cases = np.random.default_rng(0), count // repeats
-    drawn = rng.integers(0, cases, (_RESAMPLES, 1, cases))
-    again = rng.integers(0, repeats, (_RESAMPLES, repeats, 1))
-    samples = statistic((cases * again + drawn).reshape(_RESAMPLES, -1))
+def _median(runs: np.ndarray) -> np.ndarray:
+    """Over repeats and cases, (..., repeats, samples, cases) -> (..., samples)."""
+    return np.asarray(np.median(runs, axis=(-3, -1)))
+
+
+def _bootstrapped(statistic: Callable[[np.ndarray], np.ndarray], runs: np.ndarray) -> Interval:
+    """A statistic of runs, (..., repeats, cases), over cases that are drawn anew."""
+    cases = runs.shape[-1]
+    drawn = np.random.default_rng(0).integers(0, cases, (2000, cases))
     # Percentiles that are samples: interpolation with infinity is none.
-    low, high = np.quantile(samples, (0.5 - 0.5 * _LEVEL, 0.5 + 0.5 * _LEVEL), method="nearest")
-    return Interval(float(statistic(np.arange(count))), float(low), float(high), cases)
+    low, high = np.quantile(statistic(runs[..., drawn]), (0.025, 0.975), method="nearest")
+    value = np.squeeze(statistic(runs[..., None, :]))
+    return Interval(float(value), float(low), float(high), cases)
 
 
 # ---- the tidy table -------------------------------------------------------------------------
@@ -110,9 +109,9 @@ class Results:
     def __iter__(self) -> Iterator[Mapping[str, Any]]:
         return iter(self.rows)
 
-    def where(self, **given: Any) -> Results:
+    def where(self, **values: Any) -> Results:
         """The rows with these values."""
-        return self.those(lambda row: all(row.get(name) == one for name, one in given.items()))
+        return self.those(lambda row: all(row.get(name) == one for name, one in values.items()))
 
     def those(self, wanted: Callable[[Mapping[str, Any]], bool]) -> Results:
         """The rows that meet a condition."""
@@ -127,35 +126,38 @@ class Results:
 
         Keys are values for a single column, tuples for several.
         """
-        found: dict[Any, list[Mapping[str, Any]]] = {}
+        rows_of: dict[Any, list[Mapping[str, Any]]] = {}
         for row in self.rows:
             key = tuple(row[name] for name in names)
-            found.setdefault(key if len(names) > 1 else key[0], []).append(row)
-        return {key: Results(rows) for key, rows in found.items()}
+            rows_of.setdefault(key if len(names) > 1 else key[0], []).append(row)
+        return {key: Results(rows) for key, rows in rows_of.items()}
 
     def values(self, name: str) -> list[Any]:
         """A column, of the rows that have it."""
         return [row[name] for row in self.rows if row.get(name) is not None]
 
+    def distinct(self, name: str) -> int:
+        """Number of different values of a column."""
+        return len({row.get(name) for row in self.rows})
+
     def median(self, name: str) -> Interval:
         """Median of a column with its interval."""
-        return median(self.values(name), self._searches())
+        return median(self.values(name), self.distinct("search"))
 
     def over(self, other: Results, name: str) -> Interval:
         """Ratio of the medians of a column, paired by case.
 
         Where one of both has several searches of its gains, the runs of the other repeat.
         """
-        longer = max(len(self), len(other))
-        ones, others = (one.values(name) * (longer // max(1, len(one))) for one in (self, other))
-        return ratio_of_medians(ones, others, max(self._searches(), other._searches()))
+        repeats = max(self.distinct("search"), other.distinct("search"))
+        ours, theirs = (
+            runs.values(name) * (repeats // runs.distinct("search")) for runs in (self, other)
+        )
+        return ratio_of_medians(ours, theirs, repeats)
 
     def share(self, name: str = "settled") -> Interval:
         """Share of the rows whose column is true."""
         return wilson(sum(map(bool, self.values(name))), len(self))
-
-    def _searches(self) -> int:
-        return max(1, len({row.get("search") for row in self.rows}))
 
 
 # ---- columns as text ------------------------------------------------------------------------
@@ -180,34 +182,20 @@ METRICS = {
     "over_undisturbed": Metric("over undisturbed"),
     "final_rms_m": Metric("final error, mm rms", 1e3),
     "jitter_rad_s": Metric("jitter, mrad/s", 1e3),
-    "peak_joint_speed_rad_s": Metric("peak joint speed, rad/s"),
     "jacobian_error": Metric("Jacobian error, %", 1e2, 1),
     "learned": Metric("Jacobian error, %", 1e2, 3),
     "pace": Metric("own pace"),
     "rest_m": Metric("final way, mm", 1e3),
     "rest_deg": Metric("final turn, °", 1.0, 3),
-    # calibration
+    "rms_m": Metric("distance from the target, mm rms", 1e3),
     "place_m": Metric("place, mm", 1e3),
     "turn_deg": Metric("turn, °", 1.0, 3),
-    # settling
     "bound_s": Metric("corrected bound, s"),
     "printed_s": Metric("printed bound, s"),
     "within": Metric("within the corrected"),
     "printed_kept": Metric("within the printed"),
-    # estimators
     "t1_m": Metric("T1, mm", 1e3, 3),
-    "t1_late_m": Metric("T1, second half, mm", 1e3, 3),
     "t2_max_m": Metric("largest T2, mm", 1e3, 1),
-    # beyond
-    "fit_s": Metric("fit and distillation, s of one core", 1.0, 1),
-    "chain_box": Metric("chain, box M, %", 1e2, 3),
-    "chain_workspace": Metric("chain, workspace, %", 1e2, 3),
-    "distilled_box": Metric("distilled networks, box M, %", 1e2),
-    "late_error_s": Metric("stamp delay, ms", 1e3),
-    "stated": Metric("stated by the fit, %", 1e2, 3),
-    "seen": Metric("as the camera sees, %", 1e2, 3),
-    "honesty": Metric("stated over actual error"),
-    "rms_m": Metric("distance from the target, mm rms", 1e3),
 }
 
 
@@ -225,31 +213,22 @@ def number_text(value: Any, digits: int | None = None) -> str:
     return f"{value:g}" if digits is None else f"{value:.{digits}f}"
 
 
-def _quantile(part: float) -> Callable[[Results, str, Metric], str]:
-    """A run itself: nothing lies between a time and never."""
-    return lambda runs, name, one: number_text(
-        one.factor * float(np.quantile(runs.values(name), part, method="higher")), one.digits
-    )
-
-
-def _causes(runs: Results, name: str, _: Metric) -> str:
-    counted = Counter(filter(None, runs.values(name))).most_common()
-    return "; ".join(f"{count} {cause}" for cause, count in counted)
-
-
-#: Ways to sum up a column: the words after its label, and what the cell says.
-_SUMMARIES: Mapping[str, tuple[str, Callable[[Results, str, Metric], str]]] = {
-    "median": ("", lambda runs, name, one: runs.median(name).text(one.digits, one.factor)),
-    "half": (
-        "",
-        lambda runs, name, one: number_text(one.factor * runs.median(name).value, one.digits),
-    ),
-    "90 %": (", 90 %", _quantile(0.9)),
-    "least": (", least", _quantile(0.0)),
-    "most": (", largest", _quantile(1.0)),
-    "of": ("", lambda runs, name, _: f"{sum(map(bool, runs.values(name)))} of {len(runs)}"),
-    "causes": ("", _causes),
-}
+def _cell(runs: Results, name: str, how: str) -> str:
+    """A column of some runs in a cell; ``how`` is what :func:`table` takes after the colon."""
+    metric, values = METRICS.get(name, Metric(name)), runs.values(name)
+    if not values:
+        return "-"
+    if how == "of":
+        return f"{sum(map(bool, values))} of {len(runs)}"
+    if how == "causes":
+        counted = Counter(filter(None, values)).most_common()
+        return "; ".join(f"{count} {cause}" for cause, count in counted)
+    if not how:
+        return runs.median(name).text(metric.digits, metric.factor)
+    # A run itself, as nothing lies between a time and never.
+    part = {"90 %": 0.9, "largest": 1.0}.get(how)
+    value = runs.median(name).value if part is None else np.quantile(values, part, method="higher")
+    return number_text(metric.factor * float(value), metric.digits)
 
 
 def table(
@@ -257,23 +236,21 @@ def table(
 ) -> list[dict[str, str]]:
     """A row per group of runs with the same values in some columns.
 
-    Columns are summed up by their median with its interval, or by what stands after a colon, as in
-    ``jitter_rad_s:half`` (the median alone) and ``settled:of``. With ``across``, each is summed up
-    once for each value of that column, side by side. A cell is ``-`` where there is nothing.
+    Columns are summed up by their median with its interval, or by what stands after a colon:
+    ``half`` is the median alone, ``90 %`` and ``largest`` are runs, ``of`` counts those that are
+    true, ``causes`` counts each text. With ``across``, each is summed up once for each value of
+    that column, side by side. A cell is ``-`` where there is nothing.
     """
     rows = []
     values = [*runs.groups(across)] if across else [None]
-    for key, some in runs.groups(*by).items():
-        names = key if len(by) > 1 else (key,)
-        row = {label_of(name): number_text(one) for name, one in zip(by, names, strict=True)}
+    for key, group in runs.groups(*by).items():
+        keys = key if len(by) > 1 else (key,)
+        row = {label_of(name): number_text(one) for name, one in zip(by, keys, strict=True)}
         for value, column in product(values, columns):
             name, _, how = column.partition(":")
-            words, text = _SUMMARIES[how or "median"]
-            header = label_of(name) + words
-            if value is not None:
+            header = label_of(name) + (f", {how}" if how in ("90 %", "largest") else "")
+            if across:
                 header = f"{value}: {header}" if len(columns) > 1 else str(value)
-            ones = some.where(**{across: value}) if across else some
-            metric = METRICS.get(name, Metric(name))
-            row[header] = text(ones, name, metric) if ones.values(name) else "-"
+            row[header] = _cell(group.where(**{across: value}) if across else group, name, how)
         rows.append(row)
     return rows

@@ -13,7 +13,7 @@ import numpy as np
 from fvs_controller_node.supervisor import Command
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.base import Estimator
-from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of
+from fvs_lab.outcome import JACOBIAN_EVERY, Outcome, outcome_of
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.track import Track
@@ -22,21 +22,12 @@ from fvs_sim_node.camera import CAMERAS, CameraPose
 from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.simulation import SimConfig, Simulation
 from fvs_tools.closed_loop import ClosedLoop, make_estimator
-from fvs_tools.schemes import Scheme
+from fvs_tools.schemes import SCHEMES, Scheme
+from fvs_tools.score import SETTLED_ERROR_M
 
 #: Middle and half widths of the box that starts and goals are drawn from, rad.
 HOME_RAD = np.array(HOME_JOINTS_RAD)
 BOX_RAD = np.array(TRAINING_BOX_RAD)
-#: Time at rest before the target is given, for the controller's inputs to be fresh, s.
-PRELUDE_S = 0.4
-#: A target that moves is given as often as a camera would, Hz.
-TARGET_RATE_HZ = 30.0
-#: Exponent of noise without heavy tails.
-WHITE = 2.0
-#: Largest error of a coordinate, m: the detection knows the size of the ball.
-_LARGEST_ERROR_M = 0.1
-#: What the camera looks at: about where the ball is at home, world frame, m.
-_SCENE_M = np.array([0.47, 0.1, 0.33])
 
 Vector = tuple[float, float, float]
 #: Joints, rad.
@@ -53,16 +44,36 @@ def along(direction: np.ndarray, length: float) -> Vector:
 
 
 @dataclass(frozen=True)
+class StableNoise:
+    """Symmetric alpha-stable errors of a ball position."""
+
+    #: Standard deviation at exponent 2, m; with less, the bulk is as wide and the tails heavy.
+    scale_m: float
+    #: Above 1, up to 2 (white, normally distributed).
+    exponent: float
+    #: Larger errors of a coordinate, m, are cut off: the detection knows the size of the ball.
+    largest_m: float = 0.1
+
+    def __call__(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw the errors of the three coordinates, m."""
+        from scipy.stats import levy_stable
+
+        scale_m = self.scale_m / np.sqrt(2.0)
+        error_m = levy_stable.rvs(self.exponent, 0.0, scale=scale_m, size=3, random_state=rng)
+        return np.clip(error_m, -self.largest_m, self.largest_m)
+
+
+@dataclass(frozen=True)
 class Conditions:
     """The world of a run, the same for all variants in a comparison."""
 
-    #: What the arm carries: a ball, or a tag (pose).
+    #: What the arm carries.
     feature: str = Ball.name
     #: Whether it is seen in rendered images.
     rendered: bool = True
     #: Further noise on each coordinate, m, and that of :class:`StableNoise`; 2 for white noise.
     position_noise_m: float = 0.001
-    noise_exponent: float = WHITE
+    noise_exponent: float = 2.0
     #: Factor on the depth camera's own noise (rendered only).
     depth_noise: float = 1.0
     image_rate_hz: float = 30.0
@@ -107,23 +118,21 @@ def _carried_camera(turn_rad: np.ndarray, distance_m: float) -> CameraPose:
     lose it. With a distance it is also carried so far from the scene's middle, m.
     """
     camera = CAMERAS["front"]
-    away_m = camera.position_m - _SCENE_M
+    scene_m = np.array([0.47, 0.1, 0.33])  # about where the ball is at home, world frame
+    away_m = camera.position_m - scene_m
     if distance_m:
         away_m *= distance_m / np.linalg.norm(away_m)
     local = rotation_from_vector(turn_rad)
-    turn = camera.rotation @ local @ camera.rotation.T
-    return CameraPose(_SCENE_M + turn @ away_m, camera.rotation @ local)
+    rotation = camera.rotation @ local
+    return CameraPose(scene_m + rotation @ camera.rotation.T @ away_m, rotation)
 
 
 def simulation_of(conditions: Conditions) -> Simulation:
     """The process's simulation, put under these conditions; to be reset before use."""
     simulation = _build(conditions.physics_rate_hz, conditions.feature, conditions.tag)
     simulation.configure(conditions.sim_config())
-    simulation.position_noise = (
-        None
-        if conditions.noise_exponent == WHITE
-        else StableNoise(conditions.position_noise_m, conditions.noise_exponent)
-    )
+    noise = StableNoise(conditions.position_noise_m, conditions.noise_exponent)
+    simulation.position_noise = noise if noise.exponent < 2.0 else None
     return simulation
 
 
@@ -133,38 +142,20 @@ def _build(physics_rate_hz: float, feature: str, tag: Tag) -> Simulation:
 
 
 @dataclass(frozen=True)
-class StableNoise:
-    """Symmetric alpha-stable errors of a ball position."""
-
-    #: Standard deviation at exponent 2, m; with less, the bulk is as wide and the tails heavy.
-    scale_m: float
-    #: Above 1, up to 2 (white, normally distributed).
-    exponent: float
-
-    def __call__(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw the errors of the three coordinates, m, cut off at the largest plausible error."""
-        from scipy.stats import levy_stable
-
-        scale_m = self.scale_m / np.sqrt(2.0)
-        error_m = levy_stable.rvs(self.exponent, 0.0, scale=scale_m, size=3, random_state=rng)
-        return np.clip(error_m, -_LARGEST_ERROR_M, _LARGEST_ERROR_M)
-
-
-@dataclass(frozen=True)
 class Bump:
-    """A blow to the camera in mid-run, after which the target is given anew in the new view."""
+    """A blow to the camera, after which the target is where it was in the room."""
 
-    #: After the target was given, s.
+    #: After the target was given, s; if negative, the arm rests so long between blow and target.
     time_s: float
     #: Rotation vector about the camera's own centre, camera frame, degrees.
     rotation_deg: Vector
     #: In the world frame, m.
     translation_m: Vector
 
-    def strike(self, simulation: Simulation, parts: int = 1) -> None:
-        """Move the camera, or by one of several equal parts."""
-        turned = simulation.camera.turned(np.radians(np.array(self.rotation_deg) / parts))
-        simulation.camera = turned.moved(np.array(self.translation_m) / parts)
+    def strike(self, simulation: Simulation) -> None:
+        """Move the camera."""
+        turned = simulation.camera.turned(np.radians(self.rotation_deg))
+        simulation.camera = turned.moved(np.array(self.translation_m))
 
 
 # ---- what is run ----------------------------------------------------------------------------
@@ -189,51 +180,14 @@ class LastImage(Track):
 
 
 @dataclass(frozen=True)
-class Variant:
-    """One candidate in the comparison of an experiment."""
+class Trial:
+    """A scheme in a case under conditions; without its case, a variant of a comparison."""
 
+    scheme: Scheme = SCHEMES["proposed"]
+    conditions: Conditions = field(default_factory=Conditions)
     #: Columns of the tidy table that tell it from the others.
     labels: Mapping[str, Any] = field(default_factory=dict)
-    #: Estimator and control law, by their registries' names.
-    method: str = "rbf"
-    law: str = "ftsm"
-    #: The nodes' parameters, where they differ from the defaults.
-    estimator_values: Mapping[str, Any] = field(default_factory=dict)
-    controller_values: Mapping[str, Any] = field(default_factory=dict)
-    #: Whether the ball is predicted from its exposure to now; else the last image counts.
-    predicts: bool = True
-    #: Fields of the conditions that differ from the experiment's.
-    conditions: Mapping[str, Any] = field(default_factory=dict)
-    #: Makes an estimator that no registry has.
-    estimator: Callable[[Simulation, Case], Estimator] | None = None
-
-    @classmethod
-    def of(cls, scheme: Scheme, **controller_values: Any) -> Variant:
-        """A scheme, labelled by its name, with further parameters of the controller."""
-        return cls(
-            {"scheme": scheme.name},
-            scheme.method,
-            scheme.law,
-            scheme.estimator_values,
-            {**scheme.controller_values, **controller_values},
-        )
-
-    def labelled(self, **labels: Any) -> Variant:
-        """The same with further labels."""
-        return replace(self, labels={**self.labels, **labels})
-
-    def trial(self, case: Case, conditions: Conditions, **fields: Any) -> Trial:
-        """A trial of it; fields are further ones of the trial."""
-        return Trial(self, case, replace(conditions, **self.conditions), **fields)
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A case, the variant to run in it, and the conditions."""
-
-    variant: Variant
-    case: Case
-    conditions: Conditions = field(default_factory=Conditions)
+    case: Case | None = None
     #: Time from the target on, s.
     duration_s: float = 4.0
     #: End when the error has been below 5 mm for this time, s; for searches.
@@ -242,33 +196,66 @@ class Trial:
     record: bool = False
     #: A blow to the camera.
     bump: Bump | None = None
-    #: What happens before the target is given.
-    before: Callable[[ClosedLoop], None] | None = None
     #: For a moving target: its position, camera frame, m, at a time, s.
     path: Callable[[float], np.ndarray] | None = None
+    #: Whether the ball is predicted from its exposure to now; else the last image counts.
+    predicts: bool = True
+    #: Whether the estimator learns, if it can.
+    learns: bool = True
+    #: Makes an estimator that no registry has.
+    estimator_of: Callable[[Simulation, Case], Estimator] | None = None
 
-    @property
-    def labels(self) -> dict[str, Any]:
-        """Columns of the tidy table that tell it from the others."""
-        return {**self.variant.labels, "case": self.case.name}
+    @classmethod
+    def of(cls, scheme: Scheme, conditions: Conditions, **fields: Any) -> Trial:
+        """A scheme, labelled by its name."""
+        return cls(scheme, conditions, {"scheme": scheme.name}, **fields)
+
+    def changed(
+        self,
+        labels: Mapping[str, Any] | None = None,
+        *,
+        controller: Mapping[str, Any] | None = None,
+        estimator: Mapping[str, Any] | None = None,
+        conditions: Mapping[str, Any] | None = None,
+        method: str = "",
+        **fields: Any,
+    ) -> Trial:
+        """The same with further labels, and changes.
+
+        Of the nodes' parameters, the conditions, the scheme's method, and fields of the trial.
+        """
+        scheme = replace(
+            self.scheme,
+            method=method or self.scheme.method,
+            estimator_values={**self.scheme.estimator_values, **(estimator or {})},
+            controller_values={**self.scheme.controller_values, **(controller or {})},
+        )
+        world = replace(self.conditions, **(conditions or {}))
+        labels = {**self.labels, **(labels or {})}
+        return replace(self, scheme=scheme, conditions=world, labels=labels, **fields)
 
     def loop(self, simulation: Simulation) -> ClosedLoop:
         """The whole loop in a simulation that has been reset."""
-        who = self.variant
-        if who.estimator is None:
-            estimator = make_estimator(who.method, simulation, who.estimator_values)
+        scheme = self.scheme
+        if self.estimator_of is None:
+            estimator = make_estimator(scheme.method, simulation, scheme.estimator_values)
         else:
-            estimator = who.estimator(simulation, self.case)
-        one = ClosedLoop(simulation, estimator, {"law": who.law, **who.controller_values})
-        if not who.predicts:
-            one.loop.track = LastImage(one.kind)
-        return one
+            assert self.case is not None
+            estimator = self.estimator_of(simulation, self.case)
+        loop = ClosedLoop(simulation, estimator, {"law": scheme.law, **scheme.controller_values})
+        loop.estimation.learns = self.learns
+        if not self.predicts:
+            loop.loop.track = LastImage(loop.kind)
+        return loop
 
 
-def sees(simulation: Simulation) -> bool:
-    """Whether the camera sees enough of the ball, or the tag three times."""
-    looks = (simulation.look().detection for _ in range(3))
-    return all(seen is not None and seen.visible_fraction >= 0.9 for seen in looks)
+def crossed(variants: Iterable[Trial], cases: Iterable[Case]) -> list[Trial]:
+    """Each variant in each case."""
+    pairs = product(variants, list(cases))
+    return [
+        replace(variant, case=case, labels={**variant.labels, "case": case.name})
+        for variant, case in pairs
+    ]
 
 
 def photo(simulation: Simulation) -> np.ndarray:
@@ -281,7 +268,7 @@ def photo(simulation: Simulation) -> np.ndarray:
 
 
 def sees_all(
-    conditions: Conditions, places: Iterable[Joints | np.ndarray], bump: Bump | None = None
+    conditions: Conditions, joints_rad: Iterable[Joints | np.ndarray], bump: Bump | None = None
 ) -> bool:
     """Whether the camera sees it at all of these joints, rad, (n,) each, also after a bump."""
     simulation = simulation_of(conditions)
@@ -289,12 +276,18 @@ def sees_all(
     if bump is not None:
         bump.strike(simulation)
         cameras.append(simulation.camera)
-    for camera, joints in product(cameras, places):
+    for camera, joints in product(cameras, joints_rad):
         simulation.camera = camera
         simulation.reset(joints)
-        if not sees(simulation):
+        if not _sees(simulation):
             return False
     return True
+
+
+def _sees(simulation: Simulation) -> bool:
+    """Whether the camera sees enough of it, three times in a row."""
+    looks = (simulation.look().detection for _ in range(3))
+    return all(seen is not None and seen.visible_fraction >= 0.9 for seen in looks)
 
 
 def make_cases(
@@ -324,14 +317,14 @@ def apart(
 ) -> Iterator[tuple[Joints, Joints]]:
     """Draw pairs of joints, rad, (2, n), whose balls (or tags) are visible and this far apart."""
     while True:
-        pair, balls = draw(), []
+        pair, positions_m = draw(), []
         for joints in pair:
             simulation.reset(joints)
-            if not sees(simulation):
+            if not _sees(simulation):
                 break
-            balls.append(simulation.true_ball_position())
+            positions_m.append(simulation.true_ball_position())
         else:
-            if low_m <= float(np.linalg.norm(balls[1] - balls[0])) <= high_m:
+            if low_m <= length(positions_m[1] - positions_m[0]) <= high_m:
                 start, goal = map(tuple, pair.tolist())
                 yield start, goal
 
@@ -346,65 +339,59 @@ def run_trial(trial: Trial) -> Outcome:
 
 def drive(trial: Trial, simulation: Simulation) -> Outcome:
     """Run one trial in a simulation that has been put under its conditions."""
-    simulation.reset(trial.case.start_rad, trial.case.seed)
-    one = trial.loop(simulation)
-    simulation.reset(trial.case.goal_rad)
-    goal_m = in_world(one)
-    simulation.reset(trial.case.start_rad, trial.case.seed)
-    one.run(PRELUDE_S)
-    if trial.before is not None:
-        trial.before(one)
-    target_m = np.empty(0) if trial.path else give_target(one, goal_m)
+    case, bump, path = trial.case, trial.bump, trial.path
+    assert case is not None
+    simulation.reset(case.start_rad, case.seed)
+    loop = trial.loop(simulation)
+    loop.run(0.4)  # for the controller's inputs to be fresh
+    if bump is not None and bump.time_s < 0.0:
+        bump.strike(simulation)
+        loop.run(-bump.time_s)
+    target_m = np.empty(0) if path else give_target(loop, case.goal_rad)
     start_s, next_s = simulation.time_s, 0.0
-    bump_tick = -1 if trial.bump is None else round(trial.bump.time_s / one.period_s)
+    bump_tick = -1 if bump is None else round(bump.time_s / loop.period_s)
     times_s: list[float] = []
-    balls_m: list[np.ndarray] = []
+    features_m: list[np.ndarray] = []
     errors_m: list[float] = []
     commands: list[Command] = []
     jacobian_errors: list[float] = []
     below_since_s = np.inf
-    for tick in range(round(trial.duration_s / one.period_s)):
-        if trial.bump is not None and tick == bump_tick:
-            trial.bump.strike(simulation)
-            target_m = give_target(one, goal_m)
-        if trial.path is not None:
-            now_s = tick * one.period_s
+    for tick in range(round(trial.duration_s / loop.period_s)):
+        if bump is not None and tick == bump_tick:
+            bump.strike(simulation)
+            target_m = give_target(loop, case.goal_rad)
+        if path is not None:
+            now_s = tick * loop.period_s
             if now_s >= next_s:
-                one.set_target(trial.path(now_s))
-                next_s += 1.0 / TARGET_RATE_HZ
-            target_m = trial.path(now_s + one.period_s)
-        commands.append(one.tick())
+                loop.set_target(path(now_s))
+                next_s += 1.0 / 30.0  # as often as a camera would
+            target_m = path(now_s + loop.period_s)
+        commands.append(loop.tick())
         times_s.append(simulation.time_s - start_s)
-        balls_m.append(one.true_feature)
-        errors_m.append(length(one.kind.minus(balls_m[-1], target_m)))
+        features_m.append(loop.true_feature)
+        errors_m.append(length(loop.kind.minus(features_m[-1], target_m)))
         if tick % JACOBIAN_EVERY == 0:
-            jacobian_errors.append(jacobian_error(one))
-        near = errors_m[-1] < BOUNDS_M["5mm"]
+            jacobian_errors.append(jacobian_error(loop))
+        near = errors_m[-1] < SETTLED_ERROR_M
         below_since_s = min(below_since_s, times_s[-1]) if near else np.inf
         if trial.stop_after_s is not None and times_s[-1] - below_since_s >= trial.stop_after_s:
             break
-    series = np.array(times_s), np.array(balls_m), np.array(errors_m), target_m
+    series = np.array(times_s), np.array(features_m), np.array(errors_m), target_m
     return outcome_of(*series, commands, np.array(jacobian_errors), trial.record)
 
 
-def in_world(one: ClosedLoop) -> np.ndarray:
-    """The feature where it is now, world frame, m, (m,)."""
-    directions = one.true_feature[3:].reshape(-1, 3) @ one.simulation.camera.rotation.T
-    return np.append(one.simulation.world.ball_position(), directions)
+def give_target(loop: ClosedLoop, goal_rad: Joints) -> np.ndarray:
+    """Give the goal as the camera sees it now as a target; returns the true one, (m,)."""
+    simulation = loop.simulation
+    true = simulation.true_chain(loop.kind).position(np.array(goal_rad))
+    loop.set_target(np.append(simulation.as_seen(true[:3]), true[3:]))
+    return true
 
 
-def give_target(one: ClosedLoop, goal_m: np.ndarray) -> np.ndarray:
-    """Give a target, world frame, as the camera sees it; returns the true one, camera frame, m."""
-    camera = one.simulation.camera
-    place_m, directions = camera.to_camera(goal_m[:3]), goal_m[3:].reshape(-1, 3) @ camera.rotation
-    one.set_target(np.append(one.simulation.as_seen(place_m), directions))
-    return np.append(place_m, directions)
-
-
-def jacobian_error(one: ClosedLoop) -> float:
+def jacobian_error(loop: ClosedLoop) -> float:
     """Relative Frobenius error of the Jacobian that the controller uses now."""
-    true = one.simulation.true_feature_jacobian(one.simulation.joints_rad, one.kind)
-    used = one.loop.jacobian
+    true = loop.simulation.true_feature_jacobian(loop.simulation.joints_rad, loop.kind)
+    used = loop.loop.jacobian
     return float("nan") if used is None else float(relative_errors(used, true))
 
 

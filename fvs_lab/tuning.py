@@ -2,114 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterator
 
+from fvs_controller_node.config import default_values
+from fvs_estimator_node.rbf import RbfConfig
+from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.experiment import Claim, Context, Drawn, Experiment, Found, TableOf, below, ours
-from fvs_lab.results import label_of
-from fvs_lab.trials import Conditions, Variant, make_cases
+from fvs_lab.results import Results, label_of
+from fvs_lab.trials import Trial, crossed, make_cases
 
-
-@dataclass(frozen=True)
-class Knob:
-    """One parameter, and what it is set to."""
-
-    name: str
-    #: In the order in which they are drawn; one of them is the default.
-    values: tuple[float, ...]
-    default: float
-    of_estimator: bool = False
-    #: Other parameters, which are set to the value times a factor.
-    along: Mapping[str, float] = field(default_factory=dict)
-    #: Conditions of the world that are not as usual.
-    conditions: Mapping[str, Any] = field(default_factory=dict)
-
-    def settings(self, value: float) -> dict[str, float]:
-        """The parameters that are set for a value."""
-        return {self.name: value, **{name: factor * value for name, factor in self.along.items()}}
-
-
-#: In the order in which one turns them; what to do with each is in the template.
-KNOBS = (
-    Knob(
-        "max_joint_velocity_rad_s",
-        (0.25, 0.5, 1.0, 2.0, 3.0),
-        1.0,
-        along={"max_joint_acceleration_rad_s2": 6.0},
-    ),
-    Knob("alpha3", (0.5, 1.0, 2.0, 4.0, 8.0), 2.0, along={"alpha2": 1.5}),
-    Knob("switch_error_m", (0.001, 0.002, 0.005, 0.02, 0.1), 0.005),
-    Knob(
-        "rbf.n1",
-        (0.0, 0.03, 0.1, 0.3, 1.0),
-        0.3,
-        of_estimator=True,
-        conditions={"camera_turn_deg": (45.0, 0.0, 0.0)},
-    ),
-)
+#: In the order in which one turns them, with the values in the order in which they are drawn; what
+#: to do with each is in docs/tuning.md.
+KNOBS = {
+    "max_joint_velocity_rad_s": (0.25, 0.5, 1.0, 2.0, 3.0),
+    "alpha3": (0.5, 1.0, 2.0, 4.0, 8.0),
+    "switch_error_m": (0.001, 0.002, 0.005, 0.02, 0.1),
+    "rbf.n1": (0.0, 0.03, 0.1, 0.3, 1.0),
+}
 #: Claims on the knobs: claim, knob, two of its values, metric, and the required ratio of the
 #: metric's medians.
-_CLAIMS = (
+CLAIMS = (
     ("speed", "max_joint_velocity_rad_s", 1.0, 0.25, "to_5mm_s", 0.5),
     ("calm", "alpha3", 1.0, 2.0, "jitter_rad_s", 0.7),
     ("learning", "rbf.n1", 0.3, 0.0, "to_5mm_s", 0.7),
 )
 
 
-def measure(context: Context) -> Found:
+def variant(knob: str, value: float) -> Trial:
+    """A value of a knob, and of what goes with it."""
+    trial = Trial(record=True).changed({"parameter": knob, "value": value})
+    if knob == "rbf.n1":
+        turned = {"camera_turn_deg": (45.0, 0.0, 0.0)}
+        return trial.changed(estimator={knob: value}, conditions=turned)
+    goes_with = {
+        "max_joint_velocity_rad_s": {"max_joint_acceleration_rad_s2": 6.0 * value},
+        "alpha3": {"alpha2": 1.5 * value},
+    }
+    return trial.changed(controller={knob: value, **goes_with.get(knob, {})})
+
+
+def measure(context: lab.Context) -> Results:
     """Turn one knob after the other, in the same cases."""
+    variants = [variant(knob, value) for knob in context.some(KNOBS, 2) for value in KNOBS[knob]]
     cases = make_cases("U", context.count(12), 501)
-    knobs = KNOBS[:2] if context.quick else KNOBS
-    variants = [
-        Variant(
-            {"parameter": knob.name, "value": value, "default": value == knob.default},
-            conditions=knob.conditions,
-            estimator_values=knob.settings(value) if knob.of_estimator else {},
-            controller_values={} if knob.of_estimator else knob.settings(value),
-        )
-        for knob in knobs
-        for value in knob.values
-    ]
-    trials = [
-        variant.trial(case, Conditions(), record=True) for variant in variants for case in cases
-    ]
-    facts = {"count": len(cases)}
-    return Found(context.run(trials, "tuning"), facts, {"knobs": knobs, "cases": cases})
+    return context.run(crossed(variants, cases), "tuning")
 
 
-def claims(found: Found) -> Iterator[Claim]:
+def claims(runs: Results) -> Iterator[lab.Claim]:
     """What each knob is for; none for knobs that were not turned."""
-    knobs = found.runs.groups("parameter", "value")
-    for name, parameter, value, other, metric, bound in _CLAIMS:
+    knobs = runs.groups("parameter", "value")
+    for name, parameter, value, other, metric, bound in CLAIMS:
         if (parameter, value) in knobs:
             ratio = knobs[parameter, value].over(knobs[parameter, other], metric)
             label = f"{label_of(metric)}: {value:g} over {other:g}"
-            yield ours(name, below(label, ratio, bound))
+            yield lab.ours(name, lab.below(label, ratio, bound))
 
 
-TABLES = (
-    TableOf("medians", ("parameter", "value"), ("to_5mm_s", "jitter_rad_s", "final_rms_m:half")),
-)
-
-
-def figures(found: Found) -> Iterator[Drawn]:
+def figures(runs: Results) -> Iterator[lab.Drawn]:
     """A picture per parameter: runs, settling time and jitter for each of its values."""
-    for name, runs in found.runs.groups("parameter").items():
+    defaults = {**default_values(law="ftsm"), "rbf.n1": RbfConfig.n1}
+    for name, group in runs.groups("parameter").items():
         figure, ((run, *axes),) = draw.grid(1, 3, (12.0, 3.4), width_ratios=(2.0, 1.0, 1.0))
-        values = runs.groups("value")
         looks = {
-            value: {"color": colour, "linewidth": 2.4 if some.rows[0]["default"] else 1.3}
-            for (value, some), colour in zip(values.items(), draw.shades(len(values)), strict=True)
+            value: {"color": colour, "linewidth": 2.4 if value == defaults[name] else 1.3}
+            for value, colour in zip(KNOBS[name], draw.shades(len(KNOBS[name])), strict=True)
         }
-        draw.errors_over_time(run, runs.where(case=runs.rows[0]["case"]), "value", looks)
+        draw.errors_over_time(run, group.where(case=group.rows[0]["case"]), "value", looks)
         run.set(xlabel="time since the target was given, s", ylabel="true error, mm")
         run.legend(title=name)
         for axis, metric in zip(axes, ("to_5mm_s", "jitter_rad_s"), strict=True):
-            draw.dots_of(axis, runs, "value", metric)
+            draw.dots_of(axis, group, "value", metric)
             axis.set_xlim(0.0, None)
         yield "knob", figure, {"knob": name}
 
 
-EXPERIMENT = Experiment("tuning", measure, claims, TABLES, figures, globals())
+EXPERIMENT = lab.Experiment("tuning", measure, claims, (), globals(), figures)
