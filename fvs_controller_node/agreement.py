@@ -60,15 +60,15 @@ class Agreement:
 
     def add(self, image: Image, noise_m: float) -> None:
         """Take an image, and the standard deviation of a coordinate of images, m."""
-        stamp_s, seen_m, moved_m = image.stamp_s, image.seen_m, image.moved_m
+        stamp_s, measured_m, predicted_m = image.stamp_s, image.seen_m, image.moved_m
         if stamp_s <= self._newest_s:  # the clock stepped back: the cells remain valid
             self._cells[:, 0] += stamp_s - self._newest_s
         self._newest_s = stamp_s
-        row = np.concatenate([(stamp_s, 1.0), moved_m, seen_m])
-        if len(self._cells) and length(moved_m - self._anchor_m) <= _CELL_M:
+        row = np.concatenate([(stamp_s, 1.0), predicted_m, measured_m])
+        if len(self._cells) and length(predicted_m - self._anchor_m) <= _CELL_M:
             self._cells[-1, 1:] += row[1:]
         else:
-            self._anchor_m, first = moved_m, len(self._cells) == 0
+            self._anchor_m, first = predicted_m, len(self._cells) == 0
             self._cells = row[None] if first else np.vstack([self._cells[1 - _CELLS :], row])
         self.verdict = self._judge(noise_m)
 
@@ -76,11 +76,11 @@ class Agreement:
         """The verdict of the newest cells that suffice for one, which stay; None without any."""
         cells = self._cells
         stamps_s, images = cells[:, 0].tolist(), cells[:, 1]
-        moved, seen = np.hsplit(cells[:, 2:] / images[:, None], 2)
+        predicted, measured = np.hsplit(cells[:, 2:] / images[:, None], 2)
         verdict, first = None, 0
         while len(cells) - first > 1:
             time_s, newer = self._newest_s - stamps_s[first], slice(first, None)
-            later = _verdict(images[newer], moved[newer], seen[newer], noise_m, time_s)
+            later = _verdict(images[newer], predicted[newer], measured[newer], noise_m, time_s)
             if later is None:
                 break
             verdict, first = later, first + 1

@@ -96,7 +96,7 @@ class ControlLaw(ABC):
         return cls(cls.Gains.from_values(values), make_inverse(values, least_speed=cls.plans))
 
     @abstractmethod
-    def command(self, control_input: ControlInput) -> ControlOutput:
+    def command(self, state: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
 
     def settling_bound_s(self, error_m: np.ndarray) -> float | None:

@@ -128,22 +128,22 @@ class FtsmLaw(ControlLaw):
             return None
         return max(settling_time_s(y0, gains.surface, gains.reaching) for y0 in errors)
 
-    def command(self, control_input: ControlInput) -> ControlOutput:
+    def command(self, state: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
-        one, gains = control_input, self.gains
-        velocity_m_s = one.jacobian @ one.applied_rad_s
+        gains = self.gains
+        velocity_m_s = state.jacobian @ state.applied_rad_s
         solve = self._implicit if gains.discretisation == IMPLICIT else self._literal
         if gains.ftsm_path == STRAIGHT:
-            distance_m, axis = _toward(one.error_m)
-            (along,), (s,) = solve([distance_m], [float(axis @ velocity_m_s)], one.dt_s)
+            distance_m, axis = _toward(state.error_m)
+            (along,), (s,) = solve([distance_m], [float(axis @ velocity_m_s)], state.dt_s)
             wanted, sliding = along * axis, s * axis
             exponent = np.full(axis.size, gains.surface.exponent(distance_m))
         else:
-            errors = one.error_m.tolist()
-            wanted, sliding = map(np.array, solve(errors, velocity_m_s.tolist(), one.dt_s))
+            errors = state.error_m.tolist()
+            wanted, sliding = map(np.array, solve(errors, velocity_m_s.tolist(), state.dt_s))
             exponent = np.array([gains.surface.exponent(y) for y in errors])
         return ControlOutput(
-            self.inverse.joint_velocity(one.jacobian, wanted, one.joints_rad, one.home_rad),
+            self.inverse.joint_velocity(state.jacobian, wanted, state.joints_rad, state.home_rad),
             sliding,
             exponent,
         )

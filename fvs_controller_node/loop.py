@@ -253,7 +253,7 @@ class ServoLoop:
             error_m = error_m - self._drive_lag.lag_s * velocity_m_s
             feed_forward = self._follower.joint_velocity(jacobian, velocity_m_s, joints, self._home)
             applied = applied - feed_forward
-        control_input = ControlInput(
+        state = ControlInput(
             error_m=error_m,
             jacobian=jacobian,
             applied_rad_s=applied,
@@ -265,9 +265,9 @@ class ServoLoop:
             feed_forward_rad_s=feed_forward,
             kind=self.kind,
         )
-        output = self.law.command(control_input)
+        output = self.law.command(state)
         if not self.law.plans:
-            output = brake(output, control_input, self.supervisor.config)
+            output = brake(output, state, self.supervisor.config)
         if feed_forward is not None:
             output = output._replace(velocity_rad_s=output.velocity_rad_s + feed_forward)
         return output

@@ -58,19 +58,18 @@ class MinimumTimeLaw(ControlLaw):
         """Forget the goal."""
         self._goal = None
 
-    def command(self, control_input: ControlInput) -> ControlOutput:
+    def command(self, state: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
-        one = control_input
-        if self._goal is not None and one.feed_forward_rad_s is not None:
-            self._goal = self._goal + one.dt_s * one.feed_forward_rad_s
-        if self._goal is None or one.change is not Change.NOTHING or one.chain is None:
-            self._goal = self._find_goal(one)
-        left = self._goal - one.joints_rad
+        if self._goal is not None and state.feed_forward_rad_s is not None:
+            self._goal = self._goal + state.dt_s * state.feed_forward_rad_s
+        if self._goal is None or state.change is not Change.NOTHING or state.chain is None:
+            self._goal = self._find_goal(state)
+        left = self._goal - state.joints_rad
         travel = largest(left / self.gains.share)
         velocity = np.zeros(left.size)
         if travel > 0.0:
-            velocity = left * (self._speed_for(travel, one.dt_s) / travel)
-        return ControlOutput.plain(velocity, one.error_m.size)
+            velocity = left * (self._speed_for(travel, state.dt_s) / travel)
+        return ControlOutput.plain(velocity, state.error_m.size)
 
     def _speed_for(self, travel_rad: float, dt_s: float) -> float:
         """Largest speed that can be braked in time, rad/s."""
@@ -80,38 +79,38 @@ class MinimumTimeLaw(ControlLaw):
         near = gains.minimum_time_rate_1_s * travel_rad
         return min(gains.max_joint_velocity_rad_s, near, braking)
 
-    def _find_goal(self, one: ControlInput) -> np.ndarray:
+    def _find_goal(self, state: ControlInput) -> np.ndarray:
         """Joints with the ball on the target and the least largest travel, rad, shape (n,)."""
-        joints, chain = one.joints_rad, one.chain
+        joints, chain = state.joints_rad, state.chain
         if chain is None:
             return joints + self.inverse.joint_velocity(
-                one.jacobian, -one.error_m, joints, one.home_rad
+                state.jacobian, -state.error_m, joints, state.home_rad
             )
-        wanted = one.kind.retract(chain.position(joints), -one.error_m)
-        new = self._goal is None or one.change is Change.TARGET
+        wanted = state.kind.retract(chain.position(joints), -state.error_m)
+        new = self._goal is None or state.change is Change.TARGET
         goal = joints if self._goal is None else self._goal
-        way, jacobian = _way(one, goal, wanted)
-        new = new or largest(way) > _JUMP_M
+        missing, jacobian = _missing(state, goal, wanted)
+        new = new or largest(missing) > _JUMP_M
         # After a new target the steps draw the goal toward the start posture. After each further
         # image one step stays near the last goal: repeated linear programmes would alternate
         # between two corners.
         for step in range(4 if new else 1):
             if step > 0:
-                way, jacobian = _way(one, goal, wanted)
+                missing, jacobian = _missing(state, goal, wanted)
             travel = goal - joints
-            way = way + jacobian @ travel
-            if new and one.home_rad is not None:
-                found = self.inverse.joint_velocity(jacobian, way, joints, one.home_rad)
+            missing = missing + jacobian @ travel
+            if new and state.home_rad is not None:
+                velocity = self.inverse.joint_velocity(jacobian, missing, joints, state.home_rad)
             else:
-                found = self.inverse.joint_velocity(jacobian, way, joints, near=travel)
-            goal = np.clip(joints + found, self.gains.lower_rad, self.gains.upper_rad)
+                velocity = self.inverse.joint_velocity(jacobian, missing, joints, near=travel)
+            goal = np.clip(joints + velocity, self.gains.lower_rad, self.gains.upper_rad)
         return goal
 
 
-def _way(
-    one: ControlInput, goal_rad: np.ndarray, wanted: np.ndarray
+def _missing(
+    state: ControlInput, goal_rad: np.ndarray, wanted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a goal misses of the wanted feature, m, (d,), and the Jacobian there, (d, n)."""
-    assert one.chain is not None
-    z, turns, shifts_m = one.chain.motion(goal_rad)
-    return -one.kind.minus(z, wanted), one.kind.moved_by(z, turns, shifts_m)
+    assert state.chain is not None
+    z, turns, shifts_m = state.chain.motion(goal_rad)
+    return -state.kind.minus(z, wanted), state.kind.moved_by(z, turns, shifts_m)

@@ -41,24 +41,23 @@ class ProportionalLaw(ControlLaw):
 
     Gains = ProportionalGains
 
-    def command(self, control_input: ControlInput) -> ControlOutput:
+    def command(self, state: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
-        one = control_input
-        velocity = -self.gains.proportional_gain_1_s * one.error_m
+        velocity = -self.gains.proportional_gain_1_s * state.error_m
         joint_velocity = self.inverse.joint_velocity(
-            one.jacobian, velocity, one.joints_rad, one.home_rad
+            state.jacobian, velocity, state.joints_rad, state.home_rad
         )
-        return ControlOutput(joint_velocity, one.error_m.copy(), np.ones(one.error_m.size))
+        return ControlOutput(joint_velocity, state.error_m.copy(), np.ones(state.error_m.size))
 
 
 class _IncrementLaw(ControlLaw):
     """A proportional law with a gain and a damped inverse of its own."""
 
-    def command(self, control_input: ControlInput) -> ControlOutput:
+    def command(self, state: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
-        error_m = control_input.error_m
+        error_m = state.error_m
         gain_1_s, damping = self.gains.gain_and_damping
-        velocity = damped_solution(control_input.jacobian, -gain_1_s * error_m, damping)
+        velocity = damped_solution(state.jacobian, -gain_1_s * error_m, damping)
         return ControlOutput.plain(velocity, error_m.size)
 
 

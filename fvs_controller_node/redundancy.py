@@ -127,13 +127,13 @@ class LeastSpeedInverse(DampedInverse):
             room = 1.0 if shares is None else float(shares.min())
             homing = _homing((home_rad - joints_rad) / unit, largest(least), room)
             least, nearness = least + (free @ homing) @ free, _HOMING
-        found = _least_largest(least, free, nearness)
+        solution = _least_largest(least, free, nearness)
         if shares is None:
-            return unit * found
-        share = np.where(found > 0.0, *np.split(shares, 2))
-        left_out = largest((1.0 - share) * found) / max(largest(found), _TINY)
+            return unit * solution
+        share = np.where(solution > 0.0, *np.split(shares, 2))
+        left_out = largest((1.0 - share) * solution) / max(largest(solution), _TINY)
         spared = self._sparing(jacobian, velocity, share)
-        return unit * (found + min(1.0, _CALM * left_out) * (spared - found))
+        return unit * (solution + min(1.0, _CALM * left_out) * (spared - solution))
 
     def _sparing(
         self, jacobian: np.ndarray, velocity_m_s: np.ndarray, share: np.ndarray

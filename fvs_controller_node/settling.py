@@ -17,7 +17,7 @@ import numpy as np
 
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 
-_NODES, _WEIGHTS = (one.tolist() for one in np.polynomial.legendre.leggauss(16))
+_NODES, _WEIGHTS = (rule.tolist() for rule in np.polynomial.legendre.leggauss(16))
 #: Ends of the pieces of the quadrature, in switching errors.
 _PIECES = (0.0, 0.7, 1.0, 1.2, 1.6)
 

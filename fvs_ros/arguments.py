@@ -65,10 +65,10 @@ class Parser(argparse.ArgumentParser):
 
     def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # type: ignore[override]
         """Read the arguments; one that is unknown ends the program with 2."""
-        found, rest = self.parse_known_args(args, namespace)
+        parsed, rest = self.parse_known_args(args, namespace)
         if rest:
             self.error(unknown("argument", rest[0], self._option_string_actions))
-        return found
+        return parsed
 
 
 def listing(title: str, texts: Mapping[str, str]) -> str:

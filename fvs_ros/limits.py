@@ -130,10 +130,11 @@ class JointLimits(ArmJoints):
         super().__post_init__()
         joints = len(self.joint_names)
         for name in URDF_LIMITS:
-            given = getattr(self, name)
-            if len(given) not in (0, joints):
+            values = getattr(self, name)
+            if len(values) not in (0, joints):
                 raise ParameterError(
-                    f"{name} needs {joints} numbers, one for each of joint_names; got {list(given)}"
+                    f"{name} needs {joints} numbers, one for each of joint_names; "
+                    f"got {list(values)}"
                 )
         jerk, acceleration = self.max_joint_jerk_rad_s3, self.max_joint_acceleration_rad_s2
         if 0.0 < jerk < acceleration / _BUILD_UP_S:
@@ -156,8 +157,8 @@ class JointLimits(ArmJoints):
     def _is_ur(self) -> bool:
         return self.joint_names == UR_JOINT_NAMES
 
-    def _given_or(self, given: tuple[float, ...], default: float) -> np.ndarray:
-        return np.array(given or np.full(len(self.joint_names), default))
+    def _given_or(self, values: tuple[float, ...], default: float) -> np.ndarray:
+        return np.array(values or np.full(len(self.joint_names), default))
 
     @cached_property
     def lower_rad(self) -> np.ndarray:
@@ -219,9 +220,12 @@ def with_urdf_limits(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -
     joints = [urdf[name] for name in names if name in urdf]
     if not joints:
         return dict(values)
-    values = {**values, "slides": tuple(one.name for one in joints if one.kind == "prismatic")}
+    values = {
+        **values,
+        "slides": tuple(joint.name for joint in joints if joint.kind == "prismatic"),
+    }
     if len(joints) == len(names):
-        values["near_ends"] = tuple(one.near_end for one in joints)
+        values["near_ends"] = tuple(joint.near_end for joint in joints)
     if all(values[name] for name in URDF_LIMITS):
         return values
     for name in names:
@@ -230,8 +234,8 @@ def with_urdf_limits(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -
         if urdf[name].problem:
             raise ParameterError(urdf[name].problem)
     limits = [
-        (max(-UNLIMITED, one.lower), min(UNLIMITED, one.upper), min(UNLIMITED, one.velocity))
-        for one in joints
+        (max(-UNLIMITED, joint.lower), min(UNLIMITED, joint.upper), min(UNLIMITED, joint.velocity))
+        for joint in joints
     ]
-    found = zip(URDF_LIMITS, map(list, zip(*limits, strict=True)), strict=True)
-    return {**values, **{name: value for name, value in found if not values[name]}}
+    described = zip(URDF_LIMITS, map(list, zip(*limits, strict=True)), strict=True)
+    return {**values, **{name: value for name, value in described if not values[name]}}

@@ -113,8 +113,8 @@ class Parameter:
         return element
 
     def _refusal(self, value: Any) -> ParameterError:
-        given = list(value) if isinstance(value, array) else value
-        words = reprlib.repr(given)  # of another process's value: limited in length
+        plain = list(value) if isinstance(value, array) else value
+        words = reprlib.repr(plain)  # of another process's value: limited in length
         meant = did_you_mean(value, self.choices) if isinstance(value, str) else ""
         return ParameterError(
             f"parameter {self.name} must be {self.expected()}, got {words}; {meant}".rstrip("; ")
@@ -171,14 +171,14 @@ def parameter(
     What it takes is that of :class:`Parameter`; its name is the field's. A tuple is a list in ROS.
     """
     values = list(default) if isinstance(default, tuple) else default
-    one = Parameter("", values, description, minimum, maximum, choices, size, live, broadcast)
-    return field(default=default, metadata={_DECLARED: one})
+    declared = Parameter("", values, description, minimum, maximum, choices, size, live, broadcast)
+    return field(default=default, metadata={_DECLARED: declared})
 
 
 def another_default(owner: type[Parameters], name: str, default: Any) -> Any:
     """A field that takes over a parameter of a base class with another default."""
-    (one,) = (one for one in _own(owner) if one.name == name)
-    return field(default=default, metadata={_DECLARED: replace(one, default=default)})
+    (declared,) = (declared for declared in _own(owner) if declared.name == name)
+    return field(default=default, metadata={_DECLARED: replace(declared, default=default)})
 
 
 #: A parameter that may change while the node runs.
@@ -194,34 +194,34 @@ class Parameters:
     """
 
     def __post_init__(self) -> None:
-        for one in _own(type(self)):
-            value = one.check(getattr(self, one.name))
-            object.__setattr__(self, one.name, tuple(value) if one.is_list else value)
+        for declared in _own(type(self)):
+            value = declared.check(getattr(self, declared.name))
+            object.__setattr__(self, declared.name, tuple(value) if declared.is_list else value)
 
     @classmethod
     def declared(cls, prefix: str = "") -> tuple[Parameter, ...]:
         """All its parameters as a node declares them, each name after the prefix."""
-        own = (replace(one, name=prefix + one.name) for one in _own(cls))
-        nested = (one for part in _parts(cls).values() for one in part.declared(prefix))
+        own = (replace(item, name=prefix + item.name) for item in _own(cls))
+        nested = (item for part in _parts(cls).values() for item in part.declared(prefix))
         return (*own, *nested)
 
     @classmethod
     def from_values(cls: type[_Self], values: Mapping[str, Any], prefix: str = "") -> _Self:
         """Take the values that are its own, by name after the prefix; the others default."""
-        own = {one.name: prefix + one.name for one in fields(cls)}
-        given = {name: values[long] for name, long in own.items() if long in values}
+        own = {member.name: prefix + member.name for member in fields(cls)}
+        taken = {name: values[long] for name, long in own.items() if long in values}
         parts = {name: part.from_values(values, prefix) for name, part in _parts(cls).items()}
-        return cls(**{**given, **parts})
+        return cls(**{**taken, **parts})
 
 
 def _own(cls: type) -> Iterator[Parameter]:
-    for one in fields(cls):
-        if _DECLARED in one.metadata:
-            yield replace(one.metadata[_DECLARED], name=one.name)
+    for member in fields(cls):
+        if _DECLARED in member.metadata:
+            yield replace(member.metadata[_DECLARED], name=member.name)
 
 
 def _parts(cls: type) -> dict[str, type[Parameters]]:
-    made: dict[str, Any] = {one.name: one.default_factory for one in fields(cls)}
+    made: dict[str, Any] = {member.name: member.default_factory for member in fields(cls)}
     return {
         name: part
         for name, part in made.items()

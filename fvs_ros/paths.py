@@ -36,16 +36,16 @@ def find_file(name: str, folder: str = "config") -> Path:
     source tree, then of each ROS prefix. The ``FileNotFoundError`` lists where it was looked for.
     """
     try:
-        given = Path(name).expanduser()
+        path = Path(name).expanduser()
     except RuntimeError:
         raise FileNotFoundError(f"no file {name}: there is no such user") from None
-    places = [given]
-    if not given.is_absolute():
-        places += [share / folder / given for share in share_folders()]
-    for place in places:
-        if place.is_file():
-            return place
-    raise FileNotFoundError(f"no file {name}; looked in {', '.join(str(p) for p in places)}")
+    candidates = [path]
+    if not path.is_absolute():
+        candidates += [share / folder / path for share in share_folders()]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    raise FileNotFoundError(f"no file {name}; looked in {', '.join(str(p) for p in candidates)}")
 
 
 def find_mesh(name: str, urdf: Path | None = None) -> Path | None:
@@ -55,11 +55,11 @@ def find_mesh(name: str, urdf: Path | None = None) -> Path | None:
     """
     inside = name.removeprefix("file://").removeprefix("package://")
     folders = [Path("/")] if urdf is None else urdf.resolve().parents
-    beside = [folder / one for folder in folders for one in (inside, inside.partition("/")[2])]
+    beside = [folder / path for folder in folders for path in (inside, inside.partition("/")[2])]
     sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     prefixes = (*map(Path, sourced), *sorted(_INSTALLED.glob("*"), reverse=True))
-    places = [*beside, *(prefix / "share" / inside for prefix in prefixes)]
-    return next((place for place in places if place.is_file()), None)
+    candidates = [*beside, *(prefix / "share" / inside for prefix in prefixes)]
+    return next((candidate for candidate in candidates if candidate.is_file()), None)
 
 
 def program(module: str, dies_with_parent: bool = False) -> list[str]:

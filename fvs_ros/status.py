@@ -25,5 +25,5 @@ def number(values: Mapping[str, str], key: str) -> float:
 
 def vector(values: Mapping[str, str], pattern: str) -> np.ndarray | None:
     """A vector of a status, shape (3,), by ``pattern`` with x, y, z in it; None if unknown."""
-    found = np.array([number(values, pattern.format(axis)) for axis in "xyz"])
-    return found if np.isfinite(found).all() else None
+    xyz = np.array([number(values, pattern.format(axis)) for axis in "xyz"])
+    return xyz if np.isfinite(xyz).all() else None

@@ -40,4 +40,4 @@ def listen() -> None:
 
 def name_of(number: int) -> str:
     """Name of a signal, such as SIGTERM; most real-time signals have none."""
-    return {one.value: one.name for one in signal.Signals}.get(number, f"signal {number}")
+    return {member.value: member.name for member in signal.Signals}.get(number, f"signal {number}")

@@ -264,8 +264,8 @@ CAMERA_PREFIXES = ("camera", "camera/camera")
 
 def camera_names(topic: Topic, prefix: str) -> list[str]:
     """Possible names of a camera's topic: below a prefix, or, if that is empty, the usual ones."""
-    prefixes = (prefix.rstrip("/"),) if prefix else CAMERA_PREFIXES
-    return [topic.name.replace(CAMERA_PREFIXES[0], one, 1) for one in prefixes]
+    used_prefixes = (prefix.rstrip("/"),) if prefix else CAMERA_PREFIXES
+    return [topic.name.replace(CAMERA_PREFIXES[0], used, 1) for used in used_prefixes]
 
 
 COLOR_IMAGE = Topic(

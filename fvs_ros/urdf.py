@@ -81,13 +81,15 @@ def read_robot(source: str | bytes) -> ET.Element:
     values = (
         value
         for joint in root.iter("joint")
-        for one in joint.iter()
-        for value in one.attrib.values()
+        for element in joint.iter()
+        for value in element.attrib.values()
     )
-    if any(one.tag.startswith("xacro:") for one in root) or any("${" in value for value in values):
+    if any(element.tag.startswith("xacro:") for element in root) or any(
+        "${" in value for value in values
+    ):
         raise ValueError(_XACRO)
     robot = ET.Element("robot", name=root.get("name", ""))
-    robot.extend(one for one in root if one.tag in _KNOWN)
+    robot.extend(element for element in root if element.tag in _KNOWN)
     return robot
 
 
@@ -125,26 +127,26 @@ def read_joints(source: str | bytes | ET.Element) -> dict[str, UrdfJoint]:
     """All joints of a URDF, by name; a ``ValueError`` if it is none, see :func:`read_robot`."""
     robot = source if isinstance(source, ET.Element) else read_robot(source)
     joints: dict[str, UrdfJoint] = {}
-    for one in map(_joint, robot.iter("joint")):
-        if one.name in joints:
-            raise ValueError(f"the URDF has two joints {one.name[:60]!r}")
-        joints[one.name] = one
+    for joint in map(_joint, robot.iter("joint")):
+        if joint.name in joints:
+            raise ValueError(f"the URDF has two joints {joint.name[:60]!r}")
+        joints[joint.name] = joint
     return joints
 
 
 def _joint(element: ET.Element) -> UrdfJoint:
     name, kind = element.get("name", ""), element.get("type", "")
-    ends = [element.find(one) for one in ("parent", "child")]
-    parent, child = ("" if one is None else one.get("link", "") for one in ends)
+    ends = [element.find(name) for name in ("parent", "child")]
+    parent, child = ("" if end is None else end.get("link", "") for end in ends)
     if not (parent and child):
         raise ValueError(f"joint {name[:60]!r} of the URDF lacks a link")
     if element.find("mimic") is not None:
         kind = "mimic"
     limit = element.find("limit")
-    given: Mapping[str, str] = {} if limit is None else limit.attrib
+    attributes: Mapping[str, str] = {} if limit is None else limit.attrib
     try:
         lower, upper, velocity = (
-            float(given.get(one, "0")) for one in ("lower", "upper", "velocity")
+            float(attributes.get(name, "0")) for name in ("lower", "upper", "velocity")
         )
         xyz_m, rpy_rad = (_triple(element, "origin", which) for which in ("xyz", "rpy"))
         axis = _triple(element, "axis", "xyz", "1 0 0")
@@ -168,17 +170,19 @@ def _near_end(element: ET.Element | None) -> tuple[float, float]:
     if element is None:
         return UrdfJoint.near_end
     offset, deceleration = (
-        float(element.get(one, "")) for one in ("velocity_offset", "deceleration_limit")
+        float(element.get(name, "")) for name in ("velocity_offset", "deceleration_limit")
     )
     if not (0.0 <= offset < inf and 0.0 < deceleration < inf):
         raise ValueError
     return offset, deceleration
 
 
-def _triple(element: ET.Element, tag: str, which: str, usual: str = "0 0 0") -> tuple[float, ...]:
+def _triple(
+    element: ET.Element, tag: str, attribute: str, usual: str = "0 0 0"
+) -> tuple[float, ...]:
     """Three numbers of a child element; a ``ValueError`` if they are others."""
-    found = element.find(tag)
-    words = usual if found is None else found.get(which, usual)
+    child = element.find(tag)
+    words = usual if child is None else child.get(attribute, usual)
     x, y, z = (float(word) for word in words.split())
     if not max(abs(x), abs(y), abs(z)) <= LARGEST:
         raise ValueError
@@ -187,12 +191,12 @@ def _triple(element: ET.Element, tag: str, which: str, usual: str = "0 0 0") -> 
 
 def _path(above: Mapping[str, UrdfJoint], end: str) -> list[UrdfJoint]:
     """All joints from the root, or from a loose base, to a link, of the joint before each link."""
-    found: list[UrdfJoint] = []
+    path: list[UrdfJoint] = []
     # A loop of joints has no root.
-    while end in above and above[end].kind not in _LOOSE and len(found) < len(above):
-        found.append(above[end])
+    while end in above and above[end].kind not in _LOOSE and len(path) < len(above):
+        path.append(above[end])
         end = above[end].parent
-    return found[::-1]
+    return path[::-1]
 
 
 def _arm(above: Mapping[str, UrdfJoint], known: Collection[str]) -> str:
@@ -201,20 +205,20 @@ def _arm(above: Mapping[str, UrdfJoint], known: Collection[str]) -> str:
     Fingers are shorter than the arm, and there are two as long at least on one body. A last joint
     that is not among the known ones, if some are, is one as well.
     """
-    chains = [[one for one in _path(above, end) if one.kind != "fixed"] for end in above]
-    longest = max(chains, key=lambda chain: sum(one.moves for one in chain))
-    places = [place for place, one in enumerate(longest) if one.moves]
-    for before, place in enumerate(places):
-        rest = len(places) - before
+    chains = [[joint for joint in _path(above, end) if joint.kind != "fixed"] for end in above]
+    longest = max(chains, key=lambda chain: sum(joint.moves for joint in chain))
+    indices = [index for index, joint in enumerate(longest) if joint.moves]
+    for before, index in enumerate(indices):
+        rest = len(indices) - before
         fingers = (
-            len(chain) >= place + rest and chain[place] != longest[place]
+            len(chain) >= index + rest and chain[index] != longest[index]
             for chain in chains
-            if chain[:place] == longest[:place]
+            if chain[:index] == longest[:index]
         )
         if before > rest and any(fingers):
-            places = places[:before]
+            indices = indices[:before]
             break
-    moving = [longest[place] for place in places]
+    moving = [longest[index] for index in indices]
     while known and moving and moving[-1].name not in known:
         moving.pop()
     return moving[-1].child if moving else ""
@@ -228,23 +232,23 @@ def moving_chain(
     Without one it is ``tool0`` or ``flange``, or else the arm's last link: that with most moving
     joints before it, not counting a gripper's, nor last ones that are not among the known names.
     """
-    above = {one.child: one for one in joints.values()}
+    above = {joint.child: joint for joint in joints.values()}
     if not above:
         raise ValueError("the URDF has no joints: is it a xacro that was not expanded?")
-    end = link or next((one for one in _TIPS if one in above), "") or _arm(above, known)
+    end = link or next((tip for tip in _TIPS if tip in above), "") or _arm(above, known)
     if link and end not in above:
         tips = ", ".join(sorted(above))[:400]
         raise ValueError(f"no joint of the URDF has the link {end!r} after it; there are {tips}")
     path = _path(above, end)
-    for one in path:
-        if one.problem:
-            raise ValueError(one.problem)
-        if one.kind not in ("fixed", *_MOVING):
+    for joint in path:
+        if joint.problem:
+            raise ValueError(joint.problem)
+        if joint.kind not in ("fixed", *_MOVING):
             raise ValueError(
-                f"joint {one.name[:60]!r} before {end} is of the kind {one.kind[:20]!r}, which no "
-                f"chain here follows: name a link before it"
+                f"joint {joint.name[:60]!r} before {end} is of the kind {joint.kind[:20]!r}, "
+                f"which no chain here follows: name a link before it"
             )
-    moving = [one for one in path if one.moves]
+    moving = [joint for joint in path if joint.moves]
     if not moving:
         raise ValueError(f"no moving joint of the URDF carries {end or 'anything'}")
     return end, moving
@@ -274,12 +278,12 @@ class Kinematics:
 
     def at(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points of the axes, m, and their directions, (n, 3) each, at joints, rad (m), (n,)."""
-        place = np.arange(len(self.names))
+        index = np.arange(len(self.names))
         moved = [
             self.chain(np.append(self.points_m[i], self.axes[i])).position(
-                np.where(place < i, joints_rad, 0.0)
+                np.where(index < i, joints_rad, 0.0)
             )
-            for i in place
+            for i in index
         ]
         points_m, axes = np.hsplit(np.array(moved), 2)
         return points_m, axes
@@ -311,23 +315,23 @@ def kinematics(
 ) -> Kinematics:
     """Where the axes of the joints are that carry a link; see :func:`moving_chain`."""
     tip, moving = moving_chain(joints, link, known)
-    path = _path({one.child: one for one in joints.values()}, tip)
-    rotation, place_m = np.eye(3), np.zeros(3)
+    path = _path({joint.child: joint for joint in joints.values()}, tip)
+    rotation, point_m = np.eye(3), np.zeros(3)
     axes, points_m, base_m = [], [], [(0.0, 0.0, 0.0)]
-    for one in path:
-        place_m = place_m + rotation @ np.array(one.xyz_m)
-        for angle, about in zip(one.rpy_rad[::-1], np.eye(3)[::-1], strict=True):
+    for joint in path:
+        point_m = point_m + rotation @ np.array(joint.xyz_m)
+        for angle, about in zip(joint.rpy_rad[::-1], np.eye(3)[::-1], strict=True):
             rotation = rotation @ rotation_from_vector(angle * about)
-        if one.moves:
-            axis = np.array(one.axis)
+        if joint.moves:
+            axis = np.array(joint.axis)
             if not np.linalg.norm(axis) > 1e-6:
-                raise ValueError(f"joint {one.name[:60]!r} of the URDF has no axis")
+                raise ValueError(f"joint {joint.name[:60]!r} of the URDF has no axis")
             axes.append(rotation @ axis / np.linalg.norm(axis))
-            points_m.append(place_m)
+            points_m.append(point_m)
         elif not axes:
-            base_m.append(tuple(place_m.tolist()))
-    prismatic = np.array([one.kind == "prismatic" for one in moving], dtype=float)
-    names = tuple(one.name for one in moving)
+            base_m.append(tuple(point_m.tolist()))
+    prismatic = np.array([joint.kind == "prismatic" for joint in moving], dtype=float)
+    names = tuple(joint.name for joint in moving)
     return Kinematics(
         path[0].parent,
         tip,
@@ -336,6 +340,6 @@ def kinematics(
         np.array(points_m),
         prismatic,
         rotation,
-        place_m,
+        point_m,
         base_m=tuple(base_m),
     )

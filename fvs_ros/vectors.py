@@ -57,20 +57,20 @@ def check_arrays(
     ValueError
         If a field is not as declared.
     """
-    found = dict(lengths)
+    sizes = dict(lengths)
     for name, shape in shapes.items():
         try:
             value = np.array(getattr(owner, name), dtype=float)
         except (TypeError, ValueError):
             raise ValueError(f"{name} holds something that is not a number") from None
         if value.ndim != len(shape) or not all(
-            size == (found.setdefault(side, size) if isinstance(side, str) else side)
+            size == (sizes.setdefault(side, size) if isinstance(side, str) else side)
             for side, size in zip(shape, value.shape, strict=True)
         ):
-            expected = ", ".join(str(found.get(side, side)) for side in shape)  # type: ignore[arg-type]
+            expected = ", ".join(str(sizes.get(side, side)) for side in shape)  # type: ignore[arg-type]
             raise ValueError(f"{name} has shape {value.shape}, expected ({expected})")
         if not np.all(np.isfinite(value)):
             raise ValueError(f"{name} holds a number that is not finite")
         value.setflags(write=False)
         object.__setattr__(owner, name, value)
-    return found
+    return sizes

@@ -136,9 +136,9 @@ class LimitsReader:
     ) -> None:
         self._node, self._use, self._refuse = node, use, refuse
         self._joints: Mapping[str, UrdfJoint] = {}
-        given = [name for name in URDF_LIMITS if node.values[name]]
-        if given:
-            node.tell(OK, f"{', '.join(given)} are those of the parameters")
+        preset = [name for name in URDF_LIMITS if node.values[name]]
+        if preset:
+            node.tell(OK, f"{', '.join(preset)} are those of the parameters")
         node.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
 
     def fill(self, values: dict[str, Any]) -> dict[str, Any]:
@@ -152,7 +152,7 @@ class LimitsReader:
         except ValueError as error:
             node.tell(WARN, f"robot_description is left out: {error}")
             return
-        problems = [one.problem for one in joints.values() if one.problem]
+        problems = [joint.problem for joint in joints.values() if joint.problem]
         if problems:
             node.tell(WARN, f"robot_description: {'; '.join(problems)}")
         taken = [name for name in URDF_LIMITS if not node.values[name]]

@@ -102,21 +102,21 @@ class FvsNode(Node):
         self._health: tuple[bytes, str] = (OK, "starting")
 
     def _declare(self, others: Iterable[Parameter]) -> dict[str, Any]:
-        given = {
+        overrides = {
             name: self.get_parameter(name).value
             for name in self.get_parameters_by_prefix("")
             if not name.startswith(_BUILT_IN_PARAMETERS)
         }
         own = self.parameter_set
-        known = ParameterSet({one.name: one for one in (*others, *own)}.values())
-        checked = known.checked(given)
+        known = ParameterSet({parameter.name: parameter for parameter in (*others, *own)}.values())
+        checked = known.checked(overrides)
         values = own.values({n: v for n, v in checked.items() if n in own})
         self.not_own = {n: v for n, v in checked.items() if n not in own}
-        for name in given:
+        for name in overrides:
             self.undeclare_parameter(name)
-        for one in self.parameter_set:
+        for parameter in self.parameter_set:
             self.declare_parameter(
-                one.name, values[one.name], _descriptor(one), ignore_override=True
+                parameter.name, values[parameter.name], _descriptor(parameter), ignore_override=True
             )
         return values
 
@@ -125,7 +125,7 @@ class FvsNode(Node):
 
     def set_parameters(self, parameter_list: list[rclpy.Parameter]) -> list[SetParametersResult]:
         """Set parameters one by one; refusals say what was expected, and 1 is taken for 1.0."""
-        return [self.set_parameters_atomically([given]) for given in parameter_list]
+        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
 
     def set_parameters_atomically(
         self, parameter_list: list[rclpy.Parameter]
@@ -136,18 +136,20 @@ class FvsNode(Node):
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
 
-    def _settable(self, given: rclpy.Parameter) -> rclpy.Parameter:
-        if given.name.startswith(_BUILT_IN_PARAMETERS):
-            return given
-        declared = self.parameter_set[given.name]
+    def _settable(self, requested: rclpy.Parameter) -> rclpy.Parameter:
+        if requested.name.startswith(_BUILT_IN_PARAMETERS):
+            return requested
+        declared = self.parameter_set[requested.name]
         if not declared.live:
             raise ParameterError(
-                f"parameter {given.name} can be set at start only; restart the node"
+                f"parameter {requested.name} can be set at start only; restart the node"
             )
-        return rclpy.Parameter(given.name, value=declared.check(given.value))
+        return rclpy.Parameter(requested.name, value=declared.check(requested.value))
 
     def _on_set(self, changes: list[rclpy.Parameter]) -> SetParametersResult:
-        changed = {one.name: one.value for one in changes if one.name in self.parameter_set}
+        changed = {
+            change.name: change.value for change in changes if change.name in self.parameter_set
+        }
         candidate = {**self.values, **changed}
         try:
             self.on_parameters(candidate, set(changed))
@@ -263,14 +265,14 @@ class FvsNode(Node):
         A killed node stays in the graph for about twenty seconds.
         """
         own = self.get_fully_qualified_name()
-        found = [
+        publishers = [
             "a node whose name is not known yet"
             if "_NODE_NAME_UNKNOWN_" in info.node_name
             else f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
         ]
-        others = set(found) - {own}
-        return sorted(others | {f"another {own}"} if found.count(own) > 1 else others)
+        others = set(publishers) - {own}
+        return sorted(others | {f"another {own}"} if publishers.count(own) > 1 else others)
 
     @property
     def status_heard(self) -> bool:

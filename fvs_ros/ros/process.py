@@ -76,10 +76,10 @@ def _help(doc: str, parameters: Iterable[Parameter], takes: str) -> str:
     """Help of a node: what it is for, and its parameters with defaults and ranges."""
     name = doc.split("`")[2]
     texts = {}
-    for one in parameters:
-        when = ", also while it runs" if one.live else ""
-        default = f"{one.name}:={json.dumps(one.default)}"
-        texts[default] = f"{one.description.rstrip('.')} ({one.expected()}{when})"
+    for parameter in parameters:
+        when = ", also while it runs" if parameter.live else ""
+        default = f"{parameter.name}:={json.dumps(parameter.default)}"
+        texts[default] = f"{parameter.description.rstrip('.')} ({parameter.expected()}{when})"
     usage = " ".join(filter(None, (name, takes, "--ros-args")))
     return (
         f"{doc.replace('`', '')}\n\n"
