@@ -117,9 +117,9 @@ class SupervisorConfig(JointLimits, KindConfig):
                 f"{list(high)}, got {list(low)}"
             )
         kind, joints = self.kind, len(self.joint_names)
-        if kind.places and len(low) != kind.places:
+        if kind.box_size and len(low) != kind.box_size:
             raise ParameterError(
-                f"workspace_min_m of a {kind.name} needs {kind.places} numbers, got {len(low)}"
+                f"workspace_min_m of a {kind.name} needs {kind.box_size} numbers, got {len(low)}"
             )
         if joints < kind.least_joints:
             raise ParameterError(

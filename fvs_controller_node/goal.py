@@ -120,7 +120,7 @@ class Progress:
                 best_mm=best_mm, error_mm=error_mm, time_s=config.growth_time_s
             )
         if self._swings_m > _SWINGS_M + 2.0 * self._first_m:
-            return Reason.OSCILLATING.because(what=config.kind.what, way_m=self._swings_m)
+            return Reason.OSCILLATING.because(what=config.kind.what, distance_m=self._swings_m)
         if self._since_s >= config.stall_time_s:
             return Reason.STALLED.because(time_s=config.stall_time_s, error_mm=error_mm)
         return None
@@ -228,7 +228,7 @@ class Goal:
 
     def _outside(self, target: np.ndarray) -> list[str]:
         """Say which coordinates of a target are outside the workspace box."""
-        if not self._config.kind.places:
+        if not self._config.kind.box_size:
             return []
         low, high = self._config.workspace_min_m, self._config.workspace_max_m
         axes = self._config.kind.axes

@@ -54,7 +54,7 @@ class PredictionMonitor:
         return Reason.PREDICTION_ERROR.because(
             value=verdict.error_ratio,
             limit=config.prediction_hold,
-            way_mm=1e3 * config.prediction_hold_m,
+            distance_mm=1e3 * config.prediction_hold_m,
         )
 
 

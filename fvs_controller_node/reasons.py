@@ -62,7 +62,7 @@ class Reason(Enum):
         "call ~/start to move slowly to another target, or call the estimator's ~/reset",
     )
     PREDICTION_ERROR = _ends(
-        "the Jacobian predicts badly: error ratio {value:.2f} over {way_mm:.0f} mm",
+        "the Jacobian predicts badly: error ratio {value:.2f} over {distance_mm:.0f} mm",
         "check camera and model, call the estimator's ~/reset",
     )
     ERROR_GROWING = _ends(
@@ -74,7 +74,7 @@ class Reason(Enum):
         "choose a reachable target, or check joint limits and model",
     )
     OSCILLATING = _ends(
-        "the {what} oscillates about its target: {way_m:.1f} m so far",
+        "the {what} oscillates about its target: {distance_m:.1f} m so far",
         "check stamp_delay_s and gains",
     )
     NOT_FOLLOWING = _ends(

@@ -304,8 +304,8 @@ class Supervisor:
             "exponent_{}": None if last.output is None else last.output.exponent,
         }
         for name, vector in vectors.items():
-            places = config.kind.places if name.endswith("_m") else config.kind.size
-            for i, axis in enumerate(config.kind.axes[:places]):
+            size = config.kind.box_size if name.endswith("_m") else config.kind.size
+            for i, axis in enumerate(config.kind.axes[:size]):
                 values[name.format(axis)] = nan if vector is None else float(vector[i])
         return values
 

@@ -79,6 +79,6 @@ def residuals_and_slopes(
     slope[..., : parts.by_twist.shape[2]] = parts.by_twist
     for first in range(0, feature_m.shape[1], 3):
         row = slice(first, first + 3)
-        slope[:, row, chart.of_feature][..., row] = parts.turns
+        slope[:, row, chart.of_feature][..., row] = parts.rotation
     slope[..., OFFSET] = -np.einsum("kmi,ki->km", parts.by_joint, velocity_rad_s)
     return parts.feature_m - feature_m, slope

@@ -51,13 +51,13 @@ class Slopes(NamedTuple):
     """The feature at k joint vectors, m, (k, m), and its derivatives.
 
     ``by_joint``, (k, m, n), is the Jacobian, and ``by_twist``, (k, m, p), by p motions of parts of
-    the chain; ``turns``, (k, 3, 3), have turned what is carried since the reference joints.
+    the chain; ``rotation``, (k, 3, 3), has turned what is carried since the reference joints.
     """
 
     feature_m: np.ndarray
     by_joint: np.ndarray
     by_twist: np.ndarray
-    turns: np.ndarray
+    rotation: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -129,23 +129,23 @@ class SerialChain:
         value.setflags(write=False)
         object.__setattr__(self, name, value)
 
-    def _turns(self, joints_rad: np.ndarray) -> np.ndarray:
-        """The turns E_i, transposed, shape (..., n, 4, 4), at joints, rad, shape (..., n)."""
+    def _transforms(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The motions E_i, transposed, shape (..., n, 4, 4), at joints, rad, shape (..., n)."""
         angle = (np.asarray(joints_rad, dtype=float) - self.reference_rad)[..., None, None]
         sine = np.sin(angle)
         if self._shifts.size:
             sine[..., self._shifts, :, :] = angle[..., self._shifts, :, :]
-        turns = sine * self._twists
-        turns += (1.0 - np.cos(angle)) * self._squares
-        turns += _UNIT
-        return turns
+        transforms = sine * self._twists
+        transforms += (1.0 - np.cos(angle)) * self._squares
+        transforms += _UNIT
+        return transforms
 
     def position(self, joints_rad: np.ndarray) -> np.ndarray:
         """The feature, camera frame, m, shape (..., m), at joints, rad, shape (..., n)."""
-        turns = self._turns(joints_rad)
+        transforms = self._transforms(joints_rad)
         carried = self._carried
         for i in reversed(range(len(self._twists))):
-            carried = carried @ turns[..., i, :, :]
+            carried = carried @ transforms[..., i, :, :]
         return carried[..., :3].reshape(*carried.shape[:-2], -1)
 
     def motion(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -160,37 +160,39 @@ class SerialChain:
         -------
         feature : ndarray, shape (..., m)
             As carried.
-        turns : ndarray, shape (..., n, 3)
+        angular : ndarray, shape (..., n, 3)
             Angular velocities w per joint velocity, camera frame, rad/rad.
-        shifts_m : ndarray, shape (..., n, 3)
+        linear_m : ndarray, shape (..., n, 3)
             Velocities v of what is at the camera's origin, m/rad: a point p moves by ``v + w x p``.
         """
-        stages = self._stages(self._turns(joints_rad))
+        stages = self._stages(self._transforms(joints_rad))
         lines = (self._lines @ stages[..., :-1, :, :])[..., :3]
         axes, points_m = lines[..., 0, :], lines[..., 1, :]
-        shifts_m = (cross_matrix(points_m) @ axes[..., None])[..., 0]
+        linear_m = (cross_matrix(points_m) @ axes[..., None])[..., 0]
         if self._shifts.size:
-            shifts_m[..., self._shifts, :] = axes[..., self._shifts, :]
+            linear_m[..., self._shifts, :] = axes[..., self._shifts, :]
             axes[..., self._shifts, :] = 0.0
         feature = (self._carried @ stages[..., -1, :, :])[..., :3]
-        return feature.reshape(*feature.shape[:-2], -1), axes, shifts_m
+        return feature.reshape(*feature.shape[:-2], -1), axes, linear_m
 
-    def _stages(self, turns: np.ndarray) -> np.ndarray:
+    def _stages(self, transforms: np.ndarray) -> np.ndarray:
         """Motion of what is behind the first 0, 1, ... joints, transposed, (..., n + 1, 4, 4)."""
-        joints = turns.shape[-3]
-        stages = np.empty((*turns.shape[:-3], joints + 1, 4, 4))
+        joints = transforms.shape[-3]
+        stages = np.empty((*transforms.shape[:-3], joints + 1, 4, 4))
         stages[..., 0, :, :] = _UNIT
-        multiply = np.dot if turns.ndim == 3 else np.matmul  # of one matrix: in half the time
+        multiply = np.dot if transforms.ndim == 3 else np.matmul  # of one matrix: in half the time
         for i in range(joints):
-            multiply(turns[..., i, :, :], stages[..., i, :, :], out=stages[..., i + 1, :, :])
+            multiply(transforms[..., i, :, :], stages[..., i, :, :], out=stages[..., i + 1, :, :])
         return stages
 
     def position_and_jacobian(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The feature, (..., m), and its Jacobian, (..., m, n), at joints, rad, (..., n)."""
-        feature, turns, shifts_m = self.motion(joints_rad)
+        feature, angular, linear_m = self.motion(joints_rad)
         parts = feature.reshape(*feature.shape[:-1], -1, 3)
         is_point = self._carried[:, 3, None, None]
-        moved = turns[..., None, :, :] @ cross_matrix(parts) + is_point * shifts_m[..., None, :, :]
+        moved = (
+            angular[..., None, :, :] @ cross_matrix(parts) + is_point * linear_m[..., None, :, :]
+        )
         jacobian = np.swapaxes(moved, -1, -2)
         return feature, jacobian.reshape(*feature.shape, len(self.axes))
 
@@ -219,25 +221,25 @@ class SerialChain:
         columns = np.concatenate([axes, twists], axis=2).reshape(6 * len(axes), -1)
         size = self.feature_m.size
         feature, slopes = np.empty((images, size)), np.empty((images, size, columns.shape[1]))
-        turned = np.empty((images, 3, 3))
+        rotation = np.empty((images, 3, 3))
         for first in range(0, images, _PART):
             part = slice(first, first + _PART)
-            feature[part], by_twist, turned[part] = self._slopes(joints_rad[part])
+            feature[part], by_twist, rotation[part] = self._slopes(joints_rad[part])
             np.matmul(by_twist, columns, out=slopes[part])
-        return Slopes(feature, slopes[..., :joints], slopes[..., joints:], turned)
+        return Slopes(feature, slopes[..., :joints], slopes[..., joints:], rotation)
 
     def _slopes(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Feature, its derivatives by all twists, (k, m, 6 n + 6), and how it has been turned."""
-        turns, rows = self._turns(joints_rad), len(self._carried)
-        stages = self._stages(turns)
+        transforms, rows = self._transforms(joints_rad), len(self._carried)
+        stages = self._stages(transforms)
         feature = (self._carried @ stages[:, -1])[..., :3]
         is_point, unit = self._carried[:, 3:], stages[:, :, None, :3, :3]
         # A turn about a unit vector f, a row of a stage, moves a point at a by f x a.
         arms = feature[:, None] - is_point * stages[:, :, 3:, :3]
-        by_twist = np.empty((len(turns), rows, 3, len(self.axes) + 1, 6))
+        by_twist = np.empty((len(transforms), rows, 3, len(self.axes) + 1, 6))
         by_twist[..., :3] = np.transpose(unit @ cross_matrix(arms), (0, 2, 4, 1, 3))
         by_twist[..., 3:] = np.transpose(is_point[..., None] * unit, (0, 2, 4, 1, 3))
-        size = len(turns), 3 * rows
+        size = len(transforms), 3 * rows
         return (
             feature.reshape(size),
             by_twist.reshape(*size, -1),

@@ -41,14 +41,14 @@ def judge(
     Times since it was given, (n,), and errors, m, (n, d); joint velocities, (k, joints).
     """
     final, longer_m = time_s >= time_s[-1] - FINAL_S, largest_part_m(kind, errors_m)
-    way_m, arc_m = (kind.parts_m(errors_m).get(name) for name in ("way_m", "arc_m"))
-    assert way_m is not None
+    distance_m, arc_m = (kind.parts_m(errors_m).get(name) for name in ("way_m", "arc_m"))
+    assert distance_m is not None
     final_rad = None if arc_m is None else _rms(arc_m[final]) / kind.lever_arm_m
     return TargetScore(
-        start_distance_m=float(way_m[0]),
+        start_distance_m=float(distance_m[0]),
         settling_5mm_s=settling_time_s(time_s, longer_m, SETTLED_ERROR_M),
         settling_2mm_s=settling_time_s(time_s, longer_m, FINE_ERROR_M),
-        final_rms_m=_rms(way_m[final]),
+        final_rms_m=_rms(distance_m[final]),
         peak_joint_speed_rad_s=float(np.max(np.abs(joint_velocity_rad_s), initial=0.0)),
         final_rms_deg=None if final_rad is None else float(np.degrees(final_rad)),
     )

@@ -33,7 +33,7 @@ class Kind:
         Length, m, of what a message gives as 1.
     weights : ndarray, shape (m,)
         Length, m, of a unit of each number of z.
-    places : int
+    box_size : int
         Count of the first numbers of z that a workspace box bounds; 0 without one.
     outliers : float
         Share of images that are usually further off than their noise.
@@ -49,7 +49,7 @@ class Kind:
     unit: np.ndarray
     weights: np.ndarray
     outliers = 0.01
-    places, least_joints = 3, 1
+    box_size, least_joints = 3, 1
     flat = True
 
     def __init__(self, lever_arm_m: float = 1.0) -> None:
@@ -100,17 +100,17 @@ class Kind:
         """The measurement that a motion, m, (d,), leads to from z: the inverse of ``minus``."""
         return z + motion_m
 
-    def moved_by(self, z: np.ndarray, turns: np.ndarray, shifts_m: np.ndarray) -> np.ndarray:
+    def moved_by(self, z: np.ndarray, angular: np.ndarray, linear_m: np.ndarray) -> np.ndarray:
         """Motions, m, (..., d, n), of z by n twists of space: ``v + w x p`` of a point p.
 
         Parameters
         ----------
         z : ndarray, shape (..., m)
             The measurement.
-        turns, shifts_m : ndarray, shape (..., n, 3)
+        angular, linear_m : ndarray, shape (..., n, 3)
             Angular velocity w, rad, and velocity v, m, of what is at the camera's origin.
         """
-        moved = shifts_m + turns @ cross_matrix(z[..., :3])
+        moved = linear_m + angular @ cross_matrix(z[..., :3])
         return np.asarray(np.swapaxes(moved, -1, -2))
 
     def to_tangent(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:

@@ -91,21 +91,21 @@ class Pose(Kind):
         self, z: np.ndarray, origin: np.ndarray, before: np.ndarray | None = None
     ) -> np.ndarray:
         """Motion from a pose ``origin`` to z, m, (6,)."""
-        turn_rad = vector_from_rotation_rad(self.rotation(z) @ self.rotation(origin).T)
-        angle_rad = length(turn_rad)
-        if before is not None and angle_rad > _HALF_TURN_RAD and turn_rad.dot(before[3:]) < 0.0:
-            turn_rad = turn_rad * (1.0 - 2.0 * pi / angle_rad)
-        return np.append(z[:3] - origin[:3], self.lever_arm_m * turn_rad)
+        rotation_rad = vector_from_rotation_rad(self.rotation(z) @ self.rotation(origin).T)
+        angle_rad = length(rotation_rad)
+        if before is not None and angle_rad > _HALF_TURN_RAD and rotation_rad.dot(before[3:]) < 0.0:
+            rotation_rad = rotation_rad * (1.0 - 2.0 * pi / angle_rad)
+        return np.append(z[:3] - origin[:3], self.lever_arm_m * rotation_rad)
 
     def retract(self, z: np.ndarray, motion_m: np.ndarray) -> np.ndarray:
         """The pose that a motion, m, (6,), leads to from z."""
-        turn = rotation_from_vector(motion_m[3:] / self.lever_arm_m)
-        return np.append(z[:3] + motion_m[:3], z[3:].reshape(3, 3) @ turn.T)
+        rotation = rotation_from_vector(motion_m[3:] / self.lever_arm_m)
+        return np.append(z[:3] + motion_m[:3], z[3:].reshape(3, 3) @ rotation.T)
 
-    def moved_by(self, z: np.ndarray, turns: np.ndarray, shifts_m: np.ndarray) -> np.ndarray:
+    def moved_by(self, z: np.ndarray, angular: np.ndarray, linear_m: np.ndarray) -> np.ndarray:
         """Motions, m, (..., 6, n), of z by n twists of space."""
-        linear = super().moved_by(z, turns, shifts_m)
-        angular = self.lever_arm_m * np.swapaxes(turns, -1, -2)
+        linear = super().moved_by(z, angular, linear_m)
+        angular = self.lever_arm_m * np.swapaxes(angular, -1, -2)
         return np.concatenate([linear, angular], axis=-2)
 
     def _basis(self, z: np.ndarray | None) -> np.ndarray:
@@ -113,8 +113,8 @@ class Pose(Kind):
         assert z is not None
         basis = np.zeros((6, 12))
         basis[:3, :3] = np.eye(3)
-        turns = cross_matrix(z[3:].reshape(3, 3)) / 2.0**0.5
-        basis[3:, 3:] = np.swapaxes(turns, 0, 1).reshape(3, 9)
+        rotations = cross_matrix(z[3:].reshape(3, 3)) / 2.0**0.5
+        basis[3:, 3:] = np.swapaxes(rotations, 0, 1).reshape(3, 9)
         return basis
 
     def to_tangent(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:

@@ -102,7 +102,7 @@ def test_every_law_drives_any_number_of_features_with_any_number_of_joints(
     monkeypatch, law, features, joints
 ):
     class Numbers(Ball):
-        axes, places = tuple("abcdefgh"[:features]), features
+        axes, box_size = tuple("abcdefgh"[:features]), features
 
     monkeypatch.setitem(KINDS, "ball", Numbers)
     loop = ServoLoop(
