@@ -1,9 +1,6 @@
-"""Kinds of features against scipy's rotations and finite differences, and no kind elsewhere."""
+"""Kinds of features against scipy's rotations and finite differences."""
 
 from __future__ import annotations
-
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +20,6 @@ from fvs_ros.rotations import (
 )
 
 LEVER_M = 0.3
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -144,18 +140,3 @@ def test_a_message_is_read_as_it_was_written_and_refused_if_it_is_no_pose(rng):
     message.pose.orientation.w += 0.5
     with pytest.raises(ValueError, match="is no pose"):
         pose.read(message)
-
-
-def test_only_registries_and_the_kinds_themselves_name_a_kind():
-    """A new kind is a file in ``fvs_ros/kinds`` and a line in each registry."""
-    registries = {"fvs_detector_node/node.py", "fvs_sim_node/tag.py"}
-    asks = re.compile(
-        r"""isinstance\([^)]*\b(Ball|Pose)\b|feature\s*[!=]=|==\s*["'](ball|pose)["']"""
-    )
-    asking = {
-        path.relative_to(ROOT).as_posix()
-        for package in ROOT.glob("fvs_*")
-        for path in package.rglob("*.py")
-        if asks.search(path.read_text("utf-8"))
-    }
-    assert asking <= registries | {"fvs_estimator_node/files.py"}  # compares with what was asked
