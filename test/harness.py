@@ -22,7 +22,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -281,6 +281,10 @@ class Statuses:
         """A key number of the newest status."""
         return ros.from_status(self.statuses[-1]).get(key, "") if self.statuses else ""
 
+    def reason(self) -> str:
+        """Why the node is in its state."""
+        return self.value("reason")
+
     def text(self) -> str:
         """The newest sentence."""
         return self.statuses[-1].message if self.statuses else ""
@@ -316,10 +320,11 @@ class PlayedRobot:
         )
         self.joints = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
         self.ball = np.array([0.0, 0.1, 1.4])
-        self.velocity = np.zeros(6)
+        self.velocity, self.obeys = np.zeros(6), True
         self.silent: set[str] = set()  # topics that are not published for now
-        #: Topic -> function that changes a message before it is sent.
-        self.spoil: dict[str, Callable[[Any], Any]] = {}
+        #: Topic -> function from a message to those that are sent in its place.
+        self.spoil: dict[str, Callable[[Any], list]] = {}
+        #: When each command was sent, s, wall clock of the middleware, and the command.
         self.commands: list[tuple[float, Float64MultiArray]] = []
         node = harness.node
         qos = ros.QOS_RELIABLE
@@ -331,7 +336,8 @@ class PlayedRobot:
                 (Float64MultiArray, topics.JACOBIAN),
             )
         }
-        node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self._on_command, qos)
+        deep = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+        node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self._on_command, deep)
         self._last_s = time.monotonic()
         node.create_timer(0.008, self._step)
         node.create_timer(1 / 30, self._look)
@@ -342,15 +348,16 @@ class PlayedRobot:
 
     def _send(self, topic: str, message: Any) -> None:
         if topic not in self.silent:
-            self._publishers[topic].publish(self.spoil.get(topic, lambda m: m)(message))
+            for each in self.spoil.get(topic, lambda m: [m])(message):
+                self._publishers[topic].publish(each)
 
-    def _on_command(self, message: Float64MultiArray) -> None:
-        self.commands.append((time.monotonic(), message))
+    def _on_command(self, message: Float64MultiArray, info: Mapping[str, int]) -> None:
+        self.commands.append((info["source_timestamp"] * 1e-9, message))
         self.velocity = np.array(message.data)
 
     def _step(self) -> None:
         now_s = time.monotonic()
-        moved = self.velocity * (now_s - self._last_s)
+        moved = self.obeys * self.velocity * (now_s - self._last_s)
         self._last_s = now_s
         self.joints = self.joints + moved
         self.ball = self.ball + self.jacobian @ moved
@@ -377,12 +384,6 @@ class PlayedRobot:
         )
         assert self.harness.call(Trigger, "fvs_controller_node/stop").success
         self.harness.spin_for(0.2)  # until it has five of everything
-
-    def give_target(self, publisher: Any, offset_m: tuple[float, float, float]) -> np.ndarray:
-        """Publish a target at an offset from the ball; returns it."""
-        target = self.ball + np.array(offset_m)
-        publisher.publish(ros.to_point(self.now_s(), self.FRAME, target))
-        return target
 
     def speed(self) -> float:
         """Largest joint speed of the last command, rad/s."""

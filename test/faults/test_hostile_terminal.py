@@ -9,9 +9,8 @@ import time
 
 import numpy as np
 import pytest
-from held_pipe import full_pipe
 from std_msgs.msg import Float64MultiArray
-from test_controller_faults import Bench
+from test_controller_faults import RAMP_S, TARGETS_M, Bench
 
 from fvs_ros import topics
 
@@ -34,6 +33,17 @@ def starts_on(harness, monkeypatch, sink):
         return process
 
     monkeypatch.setattr(harness, "start", start)
+
+
+def full_pipe():
+    """A pipe that holds all it can."""
+    source, sink = os.pipe()
+    os.set_blocking(sink, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(sink, b"." * 4096)
+    os.set_blocking(sink, True)
+    return source, sink
 
 
 @pytest.fixture
@@ -80,8 +90,7 @@ def test_a_blocked_terminal_under_nohup_holds_neither_the_zeros_nor_the_end(deaf
     bench.process.send_signal(signal.SIGHUP)  # ignored, and stays so
     for _ in range(2):  # back and forth: each change is a line in the log
         bench.robot.silent.add(topics.JACOBIAN.name)
-        bench.assert_stops(time.monotonic() + 0.2)
-        bench.assert_keeps_sending_zeros()
+        bench.assert_stops(time.time(), 0.2 + RAMP_S)
         bench.robot.silent.clear()
         bench.wait(bench.robot.moving, what="motion again")
     assert deaf.stop(bench.process) == 0
@@ -96,7 +105,7 @@ def test_what_would_suspend_does_not_and_a_hangup_leaves_zeros_on_the_wire(ros_t
         bench.process.send_signal(number)
         count = len(bench.robot.commands)
         ros_test.spin_until(lambda n=count: len(bench.robot.commands) > n + 20, 2.0, "commands")
-    bench.robot.give_target(bench.target, (-0.3, 0.2, 0.1))
+    bench.aim(TARGETS_M[1])
     bench.wait(bench.robot.moving, what="motion")
     assert ros_test.stop(bench.process, signal.SIGHUP) == 0
     assert_zeros_last(bench)

@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, Vector3Stamped
 from harness import PlayedRobot, Statuses
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from fvs_estimator_node.files import load_model, save_model
@@ -78,9 +78,14 @@ def test_it_learns_from_motion_unless_frozen_and_a_reset_forgets(ros_test):
     def error():
         return np.linalg.norm(estimator.jacobian() - robot.jacobian)
 
+    program = ros_test.publisher(Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED)
+
     def freeze(frozen):
         request = SetBool.Request(data=frozen)
         assert ros_test.call(SetBool, f"{NAME}/freeze", request).success
+
+    def stop_program(stopped):
+        program.publish(Bool(data=not stopped))
 
     def swing(seconds):
         for sign in (1.0, -1.0):
@@ -90,12 +95,13 @@ def test_it_learns_from_motion_unless_frozen_and_a_reset_forgets(ros_test):
         ros_test.spin_for(0.1)
 
     at_first = error()
-    freeze(True)
-    estimator.wait_for("FROZEN")
-    swing(0.6)
-    assert estimator.value("steps_learned") == "0"
-    assert error() == pytest.approx(at_first, rel=1e-2)
-    freeze(False)
+    for pause in (freeze, stop_program):
+        pause(True)
+        estimator.wait_for("FROZEN")
+        swing(0.6)
+        assert estimator.value("steps_learned") == "0"
+        assert error() == pytest.approx(at_first, rel=1e-2)
+        pause(False)
     swing(2.0)
     estimator.wait(lambda: estimator.number("steps_learned") > 5)
     assert error() < 0.95 * at_first
@@ -105,7 +111,7 @@ def test_it_learns_from_motion_unless_frozen_and_a_reset_forgets(ros_test):
     # What it cannot use is said, and makes no nonsense of the Jacobian.
     def elsewhere(message):
         message.header.frame_id = "base_link"
-        return message
+        return [message]
 
     robot.spoil[Ball.topics.tool.name] = elsewhere
     estimator.wait_for("FAULT", "base_link")

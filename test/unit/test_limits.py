@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from fvs_ros.clock import MAX_PERIOD_S
 from fvs_ros.interface import PositionPath
-from fvs_ros.limiter import CommandLimiter, limit_acceleration, limit_jerk, ramp_to_zero
+from fvs_ros.limiter import CommandLimiter
 from fvs_ros.limits import (
     UNLIMITED,
     JointLimits,
@@ -36,25 +36,6 @@ def test_speed_is_limited_by_scaling_the_whole_vector(velocity, limit):
     assert parallel(got, velocity)
     if np.abs(velocity).max() <= 0.9999 * limit:
         np.testing.assert_array_equal(got, velocity)
-
-
-@given(velocity=SIX, last=SIX, step=st.floats(0.0, 2.0))
-def test_no_joint_ever_steps_further_than_allowed(velocity, last, step):
-    got = limit_acceleration(velocity, last, step)
-    assert np.all(np.abs(got - last) <= step + 1e-12)
-    # Never away from what was wanted.
-    assert np.all(np.abs(got - velocity) <= np.abs(last - velocity) + step + 1e-12)
-
-
-@given(last=SIX, step=st.floats(0.01, 2.0))
-def test_the_ramp_keeps_its_direction_and_ends_at_exactly_zero(last, step):
-    velocity = last
-    for _ in range(int(np.abs(last).max() / step) + 2):
-        after = ramp_to_zero(velocity, np.full(6, step))
-        assert np.all(np.abs(after - velocity) <= step + 1e-12)
-        assert parallel(after, last)
-        velocity = after
-    np.testing.assert_array_equal(velocity, np.zeros(6))
 
 
 @given(velocity=SIX, joints=st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6).map(np.array))
@@ -160,22 +141,6 @@ def test_positions_follow_velocities_and_never_run_away_from_joints_that_do_not(
     # Joints that jump away, or a lower limit, pull it back in steps of full speed.
     back = path.advance(velocity, joints - 1.0, 0.01, limits)
     np.testing.assert_allclose(back - joints, [-0.01, -0.005, -0.001])
-
-
-@given(
-    wanted=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array),
-    jerk=st.floats(60.0, 2000.0),
-)
-def test_within_a_jerk_limit_a_velocity_is_reached_without_passing_it(wanted, jerk):
-    velocity, acceleration, most, dt_s = np.zeros(3), np.zeros(3), np.full(3, 6.0), 0.008
-    for _ in range(round((0.2 + 1.0 / 6.0 + 0.2) / dt_s)):
-        after = limit_jerk(wanted, velocity, acceleration, most, np.full(3, jerk), dt_s)
-        new = (after - velocity) / dt_s
-        assert np.all(np.abs(new) <= 6.0 + 1e-9)
-        assert np.all(np.abs(new - acceleration) <= jerk * dt_s + 1e-9)
-        assert np.all(np.abs(after) <= np.abs(wanted) + 1e-9)
-        velocity, acceleration = after, new
-    np.testing.assert_allclose(velocity, wanted, atol=2e-3)
 
 
 def test_with_a_jerk_limit_braking_takes_the_way_of_an_s_curve():
