@@ -63,7 +63,6 @@ setup(
         ),
         (f"share/{PACKAGE}/config/robots", sorted(glob("config/robots/*.urdf"))),
         (f"share/{PACKAGE}/config/models", sorted(glob("config/models/*.npz"))),
-        (f"share/{PACKAGE}/config/sros2", ["config/sros2/policy.xml"]),
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.py"))),
     ],
     # What the cores need without ROS; in a ROS workspace rosdep brings these by apt.
@@ -80,7 +79,6 @@ setup(
             "fvs_collector_node=fvs_estimator_node.collector_node:main",
             "fvs_demo_node=fvs_tools.demo_node:main",
             "fvs_calibrate_node=fvs_tools.calibrate_node:main",
-            "fvs_markers_node=fvs_tools.markers_node:main",
             "fvs_recorder_node=fvs_tools.recorder_node:main",
             "fvs_dashboard=fvs_dashboard.dashboard_node:main",
             "fvs_calibrate=fvs_tools.calibrate:main",

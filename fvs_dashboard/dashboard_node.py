@@ -8,9 +8,11 @@ stop.listen()
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from math import inf, nan
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -20,12 +22,10 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 
-from fvs_dashboard import board
-from fvs_dashboard.board import Action, Actions, Board, Controller
+from fvs_dashboard.board import Action, Board, Controller
 from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
-from fvs_dashboard.markup import SHOWN_BY
 from fvs_dashboard.picture import Picture
-from fvs_dashboard.services_of_node import ANSWER_S, Services
+from fvs_dashboard.services import Services
 from fvs_estimator_node.files import load_model
 from fvs_ros import ros, topics
 from fvs_ros.joints import JointMap, JointStateError
@@ -35,19 +35,19 @@ from fvs_ros.ros.images import from_color, sampled_camera
 from fvs_tools.demo import choose_target
 
 _PERIOD_S, _LOOK_PERIOD_S = 0.1, 1.0
-#: Time after a reset until the ball rests and is seen there, s.
-_AT_REST_S = 1.0
 #: Largest rotation of a bump about x, y and z, degrees; larger ones about x and y lose the ball.
 _BUMP_DEG = (4.0, 4.0, 25.0)
 _ROTATION = "camera_rotation_deg"
 #: Time for each target of the tour, s, and distance between targets, m.
 _TARGET_S, _TOUR_M = 5.0, 0.3
+#: Parameters that the page shows.
 _ASKED = {
-    topics.CONTROLLER: SHOWN_BY,
+    topics.CONTROLLER: ("law", "max_joint_velocity_rad_s"),
     topics.ESTIMATOR: ("method",),
-    topics.SIM: ("depth_noise", "latency_s", _ROTATION),
+    topics.SIM: ("depth_noise", "latency_s"),
 }
-_TOUR_OFF = Action("tour", False)
+#: With these a person takes over from the tour.
+_TAKES_OVER = ("target", "stop", "reset", "set_current_as_target")
 
 
 class DashboardNode(ros.FvsNode):
@@ -57,29 +57,26 @@ class DashboardNode(ros.FvsNode):
         super().__init__("fvs_dashboard", PARAMETERS)
         v, self._config = self.values, DashboardConfig.from_values(self.values)
         self._kind = self._config.kind
-        self._target_m: np.ndarray | None = None  # sent from here last, (m,)
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._board = Board(len(self._joint_map.names))
         self._picture = Picture(self._config.ball_radius_m)
+        self._actions: SimpleQueue[Action] = SimpleQueue()
         # Actions trigger a callback: polling at 30 Hz took 3 % of a core.
-        self._actions = Actions(self.create_guard_condition(self._act).trigger)
-        self._arm: Any = None
+        self._wake = self.create_guard_condition(self._act)
         self._description = ""
         self._calls = Services(self, self._answer)
         self._cameras: list[ros.Sampled] = []  # while a browser shows the page
         self._board.tour = self._config.tour
         #: Where ball or tag can be, camera frame, m, shape (n, m).
-        self._candidates_m: np.ndarray | None = None
+        self._candidates: np.ndarray | None = None
         if self._config.model_path or self._config.tour:
             model = self._config.model_path or self._kind.model
             trained = load_model(find_file(model), expected=self._config)
-            self._candidates_m = trained.ball_samples_m
+            self._candidates = trained.ball_samples_m
         self._tour_due_s = -inf
-        self._begun: dict[str, Any] = {}  # the simulator's parameters as they were at first
-        self._at_rest_s = inf  # when the ball has come to rest after a reset
         self._rng = np.random.default_rng()
         self._subscribe()
-        self._page = _make_page(self._config, v["joint_names"], self._actions)
+        self._page = _make_page(self._config, v["joint_names"], self._put)
         self.create_timer(_PERIOD_S, self._show, clock=self.steady_clock)
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
         print(f"page: {self._page.address}", flush=True)
@@ -102,6 +99,8 @@ class DashboardNode(ros.FvsNode):
         self.subscribe(topics.DETECTOR_STATUS, self._on_detector)
         self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
         self.subscribe(topics.TRUE_CAMERA_POSE, self._on_camera_pose)
+        with suppress(ImportError):  # without tf2_msgs
+            self.subscribe(topics.TF_STATIC, self._on_transforms)
 
     # --- inputs ---
 
@@ -114,15 +113,13 @@ class DashboardNode(ros.FvsNode):
             velocity = self._joint_map.positions(message.name, message.velocity)
         except JointStateError:
             velocity = np.full_like(joints, nan)
-        stamp_s = ros.from_stamp(message.header.stamp)
-        self._board.add_joints(self.steady_s(), stamp_s, joints, velocity)
+        self._board.add_joints(self.steady_s(), joints, velocity)
 
     def _on_feature(self, message: Any) -> None:
         kind, frame = self._kind, self._config.feature_frame
         z = ros.from_feature(message, kind, frame, kind.topics.tool.name)
-        stamp_s = ros.from_stamp(message.header.stamp)
-        self._board.add_ball(self.steady_s(), stamp_s, z)
-        self._picture.add_ball(stamp_s, z[:3])
+        self._board.add_feature(self.steady_s(), z)
+        self._picture.add_feature(ros.from_stamp(message.header.stamp), z[:3])
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         controller = Controller(ros.from_status(message), message.message)
@@ -138,22 +135,31 @@ class DashboardNode(ros.FvsNode):
             return  # a latched message repeats whenever its publisher is rediscovered
         self._description = message.data
         try:
-            self._arm = Arm(message.data, self._joint_map.names, self.values["tf_prefix"])
+            arm = Arm(message.data, self._joint_map.names)
         except ValueError as error:
             text = f"the arm cannot be drawn: {error}"
         else:
-            self._page.scene.set_arm(self._arm)
-            text = self._arm.missing
+            self._page.scene.set_arm(arm)
+            text = arm.missing
         self._board.note("arm", self.steady_s(), text)
         if text:
             self.tell(ros.WARN, text)
 
     def _on_camera_pose(self, message: PoseStamped) -> None:
+        frame = message.header.frame_id
+        z = ros.from_feature(message, Pose(), frame, "the camera's pose")
         pose = np.eye(4)
-        frame, name = message.header.frame_id, topics.TRUE_CAMERA_POSE.name
-        z = ros.from_feature(message, Pose(), frame, name)
         pose[:3, 3], pose[:3, :3] = z[:3], Pose().rotation(z)
-        self._board.place_camera(pose)
+        self._board.camera = frame, pose
+
+    def _on_transforms(self, message: Any) -> None:
+        for one in message.transforms:
+            if one.child_frame_id == self._config.feature_frame:
+                stamped = PoseStamped(header=one.header)
+                at, shift = stamped.pose.position, one.transform.translation
+                at.x, at.y, at.z = shift.x, shift.y, shift.z
+                stamped.pose.orientation = one.transform.rotation
+                self._on_camera_pose(stamped)
 
     def _on_image(self, message: Image) -> None:
         stamp_s = ros.from_stamp(message.header.stamp)
@@ -166,16 +172,11 @@ class DashboardNode(ros.FvsNode):
     # --- what is shown ---
 
     def _show(self) -> None:
-        self._calls.look_after()
+        self._calls.repeat_stop()
         for topic in (self._joint_states, *self._cameras):
             topic.look()
         now_s = self.steady_s()
-        if self._arm is not None:
-            self._board.learn_camera(self._arm.flange)
         self._send_tour(now_s)
-        if now_s > self._at_rest_s:  # no service clears a target; one at the ball moves nothing
-            self._at_rest_s = now_s + ANSWER_S  # again, if no answer comes
-            self._calls.call(f"{topics.CONTROLLER}/{board.SET_CURRENT.name}", self._on_reset)
         watched = self._page.watched
         if watched != bool(self._cameras):
             self._look_at_images(watched)
@@ -195,97 +196,76 @@ class DashboardNode(ros.FvsNode):
         if not self._page.watched:
             return
         names = topics.camera_names(topics.COLOR_IMAGE, self._config.camera_topics)
-        found = [name for name in names if self.count_publishers(name)]
+        published = [name for name in names if self.count_publishers(name)]
         self._picture.waits_for = (
-            f"waiting for the first picture from {' or '.join(found)}"
-            if found
+            f"waiting for the first picture from {' or '.join(published)}"
+            if published
             else f"no picture: no node publishes {' or '.join(names)}"
         )
         for node, parameters in _ASKED.items():
-            self._calls.ask(node, parameters, partial(self._on_values, node))
-
-    def _on_values(self, node: str, values: dict[str, Any]) -> None:
-        self._board.parameters[node] = values
-        if node == topics.SIM and not self._begun:
-            self._begun = values
+            self._calls.ask(node, parameters, partial(self._board.parameters.__setitem__, node))
 
     # --- what is done ---
 
+    def _put(self, action: Action) -> None:
+        """Have an action done, from any thread."""
+        self._actions.put(action)
+        self._wake.trigger()
+
     def _act(self) -> None:
-        for action in self._actions.drain():
+        while not self._actions.empty():  # this is its only reader
+            action = self._actions.get_nowait()
             self._board.note("answer", self.steady_s(), "")  # clears the previous answer
-            self._at_rest_s = inf  # a new action cancels the pending part of a reset
             self._do(action)
 
     def _do(self, action: Action) -> None:
-        if action.name == "target" or action in (
-            board.STOP,
-            board.RESET,
-            board.SET_CURRENT,
-            _TOUR_OFF,
-        ):
-            self._board.tour = False  # a person takes over
-        if action == board.STOP:
+        name = action.name
+        if name in _TAKES_OVER:
+            self._board.tour = False
+        if name == "stop":
             self._calls.stop()
-        elif action == board.RESET:
-            self._reset()
-        elif action == board.BUMP:
+        elif name == "reset":
+            self._calls.stop()
+            if self._board.parameters.get(topics.SIM):
+                self._calls.set(f"{topics.SIM}/{_ROTATION}", (0.0, 0.0, 0.0))
+                self._calls.call(f"{topics.SIM}/reset")
+            self._calls.call(f"{topics.ESTIMATOR}/reset")
+        elif name == "bump":
             turns_deg = np.multiply(_BUMP_DEG, self._rng.uniform(-1.0, 1.0, 3))
-            turns_deg += self._begun.get(_ROTATION, np.zeros(3))
             self._calls.set(f"{topics.SIM}/{_ROTATION}", tuple(turns_deg.tolist()))
-        elif "/" in action.name:
-            self._calls.set(action.name, action.value)
-        elif action == _TOUR_OFF:
-            pass
+        elif name == "tour":
+            self._board.tour, self._tour_due_s = action.value, -inf
+        elif "/" in name:
+            self._calls.set(name, action.value)
         elif self._board.controller(self.steady_s()).silent:
             # Otherwise it would be executed when the controller returns, unexpectedly.
             self._answer(f"not done: the controller is silent; is {topics.CONTROLLER} running?")
-        elif action.name == "target":
-            target_m = self._wanted(action.value)
-            if target_m is None:
+        elif name == "target":
+            target = self._wanted(action.value)
+            if target is None:
                 self._answer(f"not done: no {self._kind.what} yet, so its rotation is unknown")
             else:
-                self._send_target(target_m)
-        elif action.name == "tour":
-            self._board.tour, self._tour_due_s = True, -inf
+                self._send_target(target)
         else:
-            self._calls.call(f"{topics.CONTROLLER}/{action.name}")
+            self._calls.call(f"{topics.CONTROLLER}/{name}")
 
-    def _reset(self) -> None:
-        """Stop, reset the estimator, and restore the initial simulation."""
-        self._calls.stop()
-        if self._board.parameters.get(topics.SIM):
-            for name, value in self._begun.items():
-                self._calls.set(f"{topics.SIM}/{name}", value)
-            self._calls.call(f"{topics.SIM}/reset")
-        self._calls.call(f"{topics.ESTIMATOR}/reset")
-        self._at_rest_s = self.steady_s() + _AT_REST_S
-
-    def _on_reset(self, answer: Any) -> None:
-        if self._at_rest_s < inf:
-            self._answer(
-                f"{'every' if answer.success else 'not every'}thing reset; {answer.message}"
-            )
-        if answer.success:
-            self._at_rest_s = inf
-
-    def _send_target(self, target_m: np.ndarray) -> None:
+    def _send_target(self, target: np.ndarray) -> None:
         kind, frame = self._kind, self._config.feature_frame
-        self._target_m = target_m
-        self._board.note("target", self.steady_s(), target_m)
-        self._target.publish(ros.to_feature(self.ros_s(), frame, kind, target_m))
+        self._board.note("target", self.steady_s(), target)
+        self._target.publish(ros.to_feature(self.ros_s(), frame, kind, target))
 
     def _wanted(self, numbers: Sequence[float]) -> np.ndarray | None:
-        """The target, (m,), of a user's: a place without a rotation keeps that of the last one."""
+        """The target, (m,), of a user's: a position without rotation keeps that of the last one."""
         position_m, wxyz = np.array(numbers[:3]), np.array(numbers[3:])
         if len(wxyz):
-            turn = Rotation.from_quat(np.roll(wxyz, -1)).as_matrix()
-            return self._kind.of_body(position_m, turn)
-        last = self._target_m
+            rotation = Rotation.from_quat(np.roll(wxyz, -1)).as_matrix()
+            return self._kind.of_body(position_m, rotation)
+        if self._kind.flat:
+            return position_m
+        now_s = self.steady_s()
+        last = self._board.newest("target", now_s)
         if last is None:
-            last = self._board.newest("ball_position", self.steady_s())
-        if last is None and self._kind.flat:
-            last = position_m
+            last = self._board.newest("feature", now_s)
         return None if last is None else np.append(position_m, last[3:])
 
     def _answer(self, text: str) -> None:
@@ -294,22 +274,24 @@ class DashboardNode(ros.FvsNode):
 
     def _send_tour(self, now_s: float) -> None:
         """Send the next target when it is due."""
-        if self._candidates_m is None or not self._board.tour or now_s < self._tour_due_s:
+        if self._candidates is None or not self._board.tour or now_s < self._tour_due_s:
             return
-        seen_m = self._board.newest("ball_position", now_s)
+        z = self._board.newest("feature", now_s)
         controller = self._board.controller(now_s)
         ready = controller.state == "SERVOING" or controller.reason == "NO_TARGET"
-        if seen_m is not None and ready:
+        if z is not None and ready:
             self._tour_due_s = now_s + _TARGET_S
-            candidates = self._candidates_m
-            self._send_target(choose_target(self._kind, candidates, seen_m, _TOUR_M, self._rng))
+            target = choose_target(self._kind, self._candidates, z, _TOUR_M, self._rng)
+            self._send_target(target)
 
     def finish(self) -> None:
         """Stop serving."""
         self._page.close()
 
 
-def _make_page(config: DashboardConfig, joint_names: Sequence[str], actions: Actions) -> Any:
+def _make_page(
+    config: DashboardConfig, joint_names: Sequence[str], act: Callable[[Action], None]
+) -> Any:
     """Serve the page; a ``ValueError`` explains why it cannot be served."""
     try:
         from fvs_dashboard.page import Page
@@ -317,7 +299,7 @@ def _make_page(config: DashboardConfig, joint_names: Sequence[str], actions: Act
         raise ValueError(
             f"the page needs {error.name}: pip install '{VISER}' (extra dashboard of fvs_ros)"
         ) from error
-    return Page(config, joint_names, actions)
+    return Page(config, joint_names, act)
 
 
 def main() -> int:

@@ -18,22 +18,14 @@ GREY = "#8A8F98"
 _TITLES = {"SERVOING": "Moving to target", "HOLDING": "Held", SILENT: "No controller"}
 #: Time without a heartbeat after which the page reports that its program has ended, s.
 LOST_S = 5.0
-#: A lamp's style and its sign, which works without colours.
-_LAMPS = {True: ("good", "✓"), False: ("bad", "✗"), None: ("", "?")}
-#: Inputs of the controller, what a person calls them, and the limits of their ages.
-_INPUTS = {
-    "ball_position": ("Ball seen", "ball_max_age_s"),
-    "joint_states": ("Joint states", "joint_states_max_age_s"),
-    "jacobian": ("Jacobian", "jacobian_max_age_s"),
-}
-#: Parameters of the controller that the page reads.
-SHOWN_BY = ("law", "max_joint_velocity_rad_s", *(limit for _, limit in _INPUTS.values()))
+#: Inputs of the controller, and what a person calls them.
+_INPUTS = {"joint_states": "Joint states", "jacobian": "Jacobian"}
 #: Services that nodes ask for, and the buttons that call them.
 _BUTTONS = {
     "start": "Start",
     "stop": "Stop",
     "set_current_as_target": "Set current as target",
-    "reset": "Reset everything",
+    "reset": "Reset",
 }
 #: Two elements after ``ROW`` are side by side; after ``TOP_ROW`` they also stay above scrolling.
 ROW, TOP_ROW = '<i class="fvs-row"></i>', '<i class="fvs-row fvs-top"></i>'
@@ -90,55 +82,33 @@ def line_html(name: str, text: str) -> str:
     )
 
 
-def lamps_of(board: Board, now_s: float) -> dict[str, tuple[bool | None, str]]:
-    """Lamp and text for each of the controller's inputs and the robot program."""
+def inputs_html(board: Board, tool: str, now_s: float) -> str:
+    """Ages of the controller's inputs and what else it says, two per row; sentences alone.
+
+    ``tool`` is the topic of the feature.
+    """
     controller = board.controller(now_s)
-    lamps = {}
-    for name, (label, limit) in _INPUTS.items():
+    details = {}
+    for name, label in {tool: "Seen", **_INPUTS}.items():
         age_s = controller.number(f"{name}_age_s")
-        if not isfinite(age_s):
-            age_s = board.age_s(name, now_s)
-        if isfinite(age_s):
-            text = f"{1e3 * age_s:.0f} ms ago" if age_s < 1.0 else f"{age_s:.0f} s ago"
-        else:
-            text = "unknown" if controller.silent else "never"
-        limit_s = board.limit(limit)
-        known = isfinite(limit_s) and not controller.silent
-        lamps[label] = age_s <= limit_s if known else None, text
+        details[label] = "never" if not isfinite(age_s) else f"{1e3 * age_s:.0f} ms ago"
+    running = controller.values.get("robot_program_running")
     percent = controller.number("speed_scaling_percent")
-    running = controller.values.get("robot_program_running", "unknown")
-    good, text = {"true": (percent != 0.0, "runs"), "unknown": (None, "unknown")}.get(
-        running, (False, "stopped")
-    )
-    if text == "runs" and isfinite(percent):
-        text = f"runs, {percent:.0f} %"
-    return {**lamps, "Robot program": (good, text)}
-
-
-def inputs_html(board: Board, now_s: float) -> str:
-    """Lamps and details, two per row; a detail that is a sentence has a row of its own."""
-    cells = []
-    for name, (good, text) in lamps_of(board, now_s).items():
-        style, sign = _LAMPS[good]
-        cells.append(
-            f'<div><span class="fvs-lamp {style}">{sign}</span>'
-            f'<span>{escape(name)} <span class="fvs-faint">{escape(text)}</span></span></div>'
-        )
-    controller = board.controller(now_s)
-    details = {
-        name: f"{1e3 * controller.number(key):.0f} ms"
-        for name, key in (("Image latency", "image_latency_s"), ("Drive lag", "drive_lag_s"))
-        if isfinite(controller.number(key))
-    }
-    if not controller.silent:
-        details["Active limit"] = controller.values.get("active_limit") or "none"
+    details["Robot program"] = {"true": "runs", "false": "stopped"}.get(running or "", "unknown")
+    if isfinite(percent):
+        details["Robot program"] += f", {percent:.0f} %"
+    for label, key in (("Image latency", "image_latency_s"), ("Drive lag", "drive_lag_s")):
+        details[label] = f"{1e3 * controller.number(key):.0f} ms"
+    details["Active limit"] = controller.values.get("active_limit") or "none"
+    if controller.silent:
+        details = {}
     if detector := board.newest("detector", now_s):
         details["Detector"] = detector
-    for name, text in details.items():
-        row = "" if text.endswith(" ms") else "fvs-wide"
-        cells.append(
-            f'<div class="{row}"><span class="fvs-faint">{escape(name)}</span> {escape(text)}</div>'
-        )
+    cells = (
+        f'<div class="{"fvs-wide" if name == "Detector" else ""}">'
+        f'<span class="fvs-faint">{escape(name)}</span> {escape(text)}</div>'
+        for name, text in details.items()
+    )
     return f'<div id="fvs-inputs" class="fvs-small fvs-number">{"".join(cells)}</div>'
 
 
@@ -167,7 +137,6 @@ def legend_html(signs: Iterable[tuple[str, tuple[int, int, int], str]]) -> str:
     return f'<div class="fvs-small" style="display:flex;gap:0.9em">{"".join(cells)}</div>'
 
 
-def notes_html(notes: Iterable[str]) -> str:
-    """Sentences about the page itself."""
-    lines = "".join(f"<div>{escape(in_words(note))}</div>" for note in notes)
-    return f'<div id="fvs-notes" class="fvs-small">{lines}</div>'
+def note_html(note: str) -> str:
+    """A sentence about the page itself."""
+    return f'<div id="fvs-note" class="fvs-small">{escape(note)}</div>'

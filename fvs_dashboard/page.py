@@ -17,17 +17,7 @@ from viser import uplot
 
 from fvs_controller_node.config import LAWS
 from fvs_dashboard import markup, picture
-from fvs_dashboard.board import (
-    BUMP,
-    HISTORY_S,
-    RESET,
-    SET_CURRENT,
-    START,
-    STOP,
-    Action,
-    Actions,
-    Board,
-)
+from fvs_dashboard.board import HISTORY_S, Action, Board
 from fvs_dashboard.config import VISER, DashboardConfig
 from fvs_dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
 from fvs_dashboard.scene import LEGEND, Scene
@@ -40,6 +30,7 @@ _STOP_S = 0.8
 _LEFT_PX, _RIGHT_PX = 400, 350
 #: The first look's field of view from top to bottom, rad.
 _FIELD_RAD = 0.8
+_UNKNOWN = "the camera's pose is unknown: the arm is not drawn; calibrate (fvs_launch calibrate)"
 
 
 class _Server(viser.ViserServer):
@@ -51,16 +42,16 @@ class _Server(viser.ViserServer):
 
 
 class Page:
-    """Serves the page; user actions go into ``actions``.
+    """Serves the page; ``act`` gets the user's actions, in the page's threads.
 
     Raises ``ValueError`` if the port is taken, if the address is not this machine's, or if other
     sites would have access.
     """
 
     def __init__(
-        self, config: DashboardConfig, joint_names: Sequence[str], actions: Actions
+        self, config: DashboardConfig, joint_names: Sequence[str], act: Callable[[Action], None]
     ) -> None:
-        self._host, self._actions = config.host, actions
+        self._host, self._act, self._kind = config.host, act, config.kind
         _check_free(config.host, config.port)
         with _quiet(), own_requests_only(config.host):
             self._server = _Server(config.host, config.port, label="fvs_ros", verbose=False)
@@ -77,13 +68,13 @@ class Page:
         )
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_RIGHT_PX)
-        self._panel = Panel(gui, actions.put, tour=config.tour or bool(config.model_path))
+        self._panel = Panel(gui, act, tour=config.tour or bool(config.model_path))
         curves = gui.add_panel()
         with curves.add_tab("Curves", viser.Icon.CHART_LINE):
             self._charts = Charts(gui, joint_names)
             self._inputs = gui.add_html("")
             gui.add_html(markup.legend_html(LEGEND))
-            self._notes = gui.add_html("")
+            self._note = gui.add_html("")
         curves.dock_left()
         curves.set_width(_LEFT_PX)
         self.scene = Scene(server, config.ball_radius_m, config.kind, self._dragged)
@@ -95,7 +86,7 @@ class Page:
 
     def _dragged(self, target: tuple[float, ...]) -> None:
         self._panel.forget_typed()
-        self._actions.put(Action("target", target))
+        self._act(Action("target", target))
 
     @property
     def address(self) -> str:
@@ -122,9 +113,10 @@ class Page:
             self.scene.show_picture(camera.field_of_view, image)
             if self._shown % _SELDOM == 0:
                 self._charts.update(board, now_s)
-                self._inputs.content = markup.inputs_html(board, now_s)
-                notes = (board.placement.note, board.newest("arm", now_s))
-                self._notes.content = markup.notes_html(filter(None, notes))
+                tool = self._kind.topics.tool.name
+                self._inputs.content = markup.inputs_html(board, tool, now_s)
+                note = _UNKNOWN if board.camera is None else board.newest("arm", now_s) or ""
+                self._note.content = markup.note_html(note)
         self._shown += 1
 
     def close(self) -> None:
@@ -174,8 +166,7 @@ _SIGNS = (
 class Panel:
     """Start, Stop, banner, target, scheme, picture and the simulator's disturbances.
 
-    Elements of variable height are below all buttons. ``act`` takes user actions, in the page's
-    threads.
+    Elements of variable height are below all buttons.
     """
 
     def __init__(self, gui: viser.GuiApi, act: Callable[[Action], None], tour: bool) -> None:
@@ -183,8 +174,8 @@ class Panel:
         self._held_until_s: dict[str, float] = {}
         self._settings: dict[str, viser.GuiInputHandle] = {}
         gui.add_html(markup.STYLE + markup.TOP_ROW)
-        self._button("Start", START, color="teal", icon=viser.Icon.PLAYER_PLAY)
-        self._button("Stop", STOP, color="red", icon=viser.Icon.PLAYER_STOP)
+        self._button("Start", "start", color="teal", icon=viser.Icon.PLAYER_PLAY)
+        self._button("Stop", "stop", color="red", icon=viser.Icon.PLAYER_STOP)
         self._alive = gui.add_html("")
         self._beat_s, self._beats = -inf, 0
         self._banner = gui.add_html("")
@@ -195,10 +186,10 @@ class Panel:
             self._sets(f"{topics.ESTIMATOR}/method", estimator)
             self._sets(f"{topics.CONTROLLER}/law", gui.add_dropdown("Law", tuple(LAWS)))
         row = gui.add_html(markup.ROW)
-        hint = "Stops, forgets what was learned, and puts the simulation back as it began."
-        self._button("Reset everything", RESET, color="gray", hint=hint)
+        hint = "Stops, forgets what was learned, and puts simulated arm and camera back."
+        self._button("Reset", "reset", color="gray", hint=hint)
         hint = "Turns the simulated camera by chance."
-        bump = self._button("Bump the camera", BUMP, color="gray", hint=hint)
+        bump = self._button("Bump the camera", "bump", color="gray", hint=hint)
         self._words = gui.add_html("")
         self._picture = gui.add_image(picture.BLANK, format="jpeg", jpeg_quality=75)
         gui.add_html(markup.legend_html(_SIGNS))
@@ -213,14 +204,14 @@ class Panel:
         for element in self._simulated:
             element.visible = False
 
-    def _button(self, label: str, action: Action, **look: str) -> viser.GuiButtonHandle:
+    def _button(self, label: str, action: str, **look: str) -> viser.GuiButtonHandle:
         button = self._gui.add_button(label, **look)
 
         @button.on_click
         async def _(_event: viser.GuiEvent) -> None:
-            if action in (SET_CURRENT, RESET):
+            if action in ("set_current_as_target", "reset"):
                 self.forget_typed()
-            self._act(action)
+            self._act(Action(action))
 
         return button
 
@@ -230,7 +221,7 @@ class Panel:
             self._target = gui.add_vector3("x, y, z (m)", (0.0, 0.0, 0.0), step=0.001)
             gui.add_html(markup.ROW)
             go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW)
-            self._button("Set current as target", SET_CURRENT, color="gray")
+            self._button("Set current as target", "set_current_as_target", color="gray")
             self._refusal = gui.add_html("")
             hint = "Send it to one after another."
             self._sets("tour", gui.add_checkbox("Tour", False, visible=tour, hint=hint))
@@ -366,7 +357,7 @@ class Charts:
     def update(self, board: Board, now_s: float) -> None:
         """Draw the newest curves."""
         self._nudge_s = _NUDGE_S - self._nudge_s
-        limit_rad_s = board.limit("max_joint_velocity_rad_s")
+        limit_rad_s = board.speed_limit_rad_s
         if isfinite(limit_rad_s) and limit_rad_s != self._limit_rad_s:
             self._limit_rad_s = limit_rad_s  # a new scale rebuilds the chart
             scale = {"range": (0.0, 1.2 * limit_rad_s)}

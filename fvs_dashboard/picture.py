@@ -36,8 +36,8 @@ class Picture:
         self._new: tuple[float, float, np.ndarray] | None = None
         self._exposed_s = inf
 
-    def add_ball(self, stamp_s: float, position_m: np.ndarray) -> None:
-        """Add a ball position, camera frame, m, shape (3,), and its exposure's stamp."""
+    def add_feature(self, stamp_s: float, position_m: np.ndarray) -> None:
+        """Add a feature's position, camera frame, m, shape (3,), and its exposure's stamp."""
         self._seen.append((stamp_s, position_m))
 
     def add_image(self, exposed_s: float, stamp_s: float, image_rgb: np.ndarray) -> None:

@@ -29,6 +29,10 @@ LEGEND = (
     ("●", _TARGET, "target: drag it"),
 )
 _BAR = (204, 209, 217)
+#: Where the camera is drawn while its pose is unknown: 1.5 m from the arm, as high, looking at it.
+_UNKNOWN_CAMERA = np.array(
+    [[0.0, 0.0, -1.0, 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.4], [0.0, 0.0, 0.0, 1.0]]
+)
 #: Of the trail, from old to new: a fixed number, which the browser redraws cheaply.
 _TRAIL_COLOURS = np.linspace((60, 64, 72), _PREDICTED, 97)
 #: After a drag the target stays where it was dropped, until the controller has answered, s.
@@ -56,20 +60,21 @@ class Scene:
         self._robot: ViserUrdf | None = None
         self._add_surroundings()
         scene = server.scene
-        scene.add_frame("/robot", show_axes=False)
+        self._root = scene.add_frame("/robot", show_axes=False, visible=False)
         self._camera = scene.add_frame(
-            "/base/camera", axes_length=0.08, axes_radius=0.003, origin_radius=0.004, visible=False
+            "/camera", axes_length=0.08, axes_radius=0.003, origin_radius=0.004
         )
+        _place(self._camera, _UNKNOWN_CAMERA)
         look = {"scale": 0.14, "thickness": 0.004, "color": (190, 196, 208), "jpeg_quality": 70}
-        self._frustum = scene.add_camera_frustum("/base/camera/view", 1.0, 1.0, **look)
-        self._trail = self._add_lines("/base/camera/trail", _joined(_TRAIL_COLOURS), 3.0)
-        self._ball = scene.add_icosphere("/base/camera/ball", ball_radius_m, _BALL, visible=False)
+        self._frustum = scene.add_camera_frustum("/camera/view", 1.0, 1.0, **look)
+        self._trail = self._add_lines("/camera/trail", _joined(_TRAIL_COLOURS), 3.0)
+        self._ball = scene.add_icosphere("/camera/ball", ball_radius_m, _BALL, visible=False)
         look = {"subdivisions": 2, "opacity": 0.3, "visible": False}
         self._predicted = scene.add_icosphere(
-            "/base/camera/predicted", 1.25 * ball_radius_m, _PREDICTED, **look
+            "/camera/predicted", 1.25 * ball_radius_m, _PREDICTED, **look
         )
         self._axes = scene.add_frame(
-            "/base/camera/tag", axes_length=0.08, axes_radius=0.004, visible=False
+            "/camera/tag", axes_length=0.08, axes_radius=0.004, visible=False
         )
         self._bars: viser.LineSegmentsHandle | None = None  # in place of missing meshes
         self._add_target(ball_radius_m)
@@ -80,7 +85,6 @@ class Scene:
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=True, cast_shadow=False)
         scene.add_light_hemisphere("/sky", ground_color=(110, 112, 120), intensity=1.2)
-        self._base = scene.add_frame("/base", show_axes=False)
 
     def _add_lines(
         self, name: str, colours: np.ndarray, thickness: float
@@ -97,7 +101,7 @@ class Scene:
     def _add_target(self, ball_radius_m: float) -> None:
         scene = self._server.scene
         self._target = scene.add_transform_controls(
-            "/base/camera/target",
+            "/camera/target",
             scale=0.16,
             line_width=3.0,
             disable_rotations=self._kind.flat,
@@ -105,28 +109,27 @@ class Scene:
             visible=False,
         )
         # Smaller than the ball, which hides it once it is there.
-        scene.add_icosphere("/base/camera/target/ball", 0.6 * ball_radius_m, _TARGET, opacity=0.8)
+        scene.add_icosphere("/camera/target/ball", 0.6 * ball_radius_m, _TARGET, opacity=0.8)
         if not self._kind.flat:
-            scene.add_frame("/base/camera/target/axes", axes_length=0.08, axes_radius=0.003)
+            scene.add_frame("/camera/target/axes", axes_length=0.08, axes_radius=0.003)
 
         @self._target.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
             # In the page's thread; assignments of numbers alone.
             self._held_s = time.monotonic()
             if event.phase != "start":
-                turn = () if self._kind.flat else event.target.wxyz
-                self._on_drag(tuple(float(value) for value in (*event.target.position, *turn)))
+                wxyz = () if self._kind.flat else event.target.wxyz
+                self._on_drag(tuple(float(value) for value in (*event.target.position, *wxyz)))
 
     def set_arm(self, arm: Arm) -> None:
         """Show another robot, or the first."""
         if self._robot is not None:
             self._server.scene.remove_by_name("/robot/visual")  # and all that hangs on it
         self._arm, self._robot = arm, ViserUrdf(self._server, arm.urdf, root_node_name="/robot")
-        _place(self._base, arm.base)
         if self._bars is not None:
             self._bars.remove()
-        colours = np.full((len(arm.names) + 1, 2, 3), _BAR)
-        self._bars = self._add_lines("/base/bars", colours, 12.0) if arm.missing else None
+        colours = np.full((len(arm.names), 2, 3), _BAR)
+        self._bars = self._add_lines("/robot/bars", colours, 12.0) if arm.missing else None
 
     def update(self, board: Board, now_s: float) -> None:
         """Show a moment."""
@@ -135,26 +138,24 @@ class Scene:
             self._robot.update_cfg(self._arm.configuration(joints))
             if self._bars is not None:
                 self._bars.points, self._bars.visible = self._arm.bars(joints), True
-        camera = board.placement.pose
-        self._camera.visible = camera is not None
-        if camera is None:
-            return
-        _place(self._camera, camera)
-        controller, seen_m = board.controller(now_s), board.newest("ball_position", now_s)
-        _put(self._ball, None if seen_m is None else seen_m[:3])
+        if self._arm is not None and board.camera is not None:
+            _place(self._camera, self._arm.in_root(*board.camera))
+            self._root.visible = True
+        controller, z = board.controller(now_s), board.newest("feature", now_s)
+        _put(self._ball, None if z is None else z[:3])
         _put(self._predicted, controller.position_m)
-        self._turn(self._axes, seen_m)
+        self._orient(self._axes, z)
         if time.monotonic() - self._held_s > _DROPPED_S:
             _put(self._target, controller.target_m)
-            wanted = board.newest("target", now_s)
-            self._turn(self._target, seen_m if wanted is None else wanted)
+            target = board.newest("target", now_s)
+            self._orient(self._target, z if target is None else target)
         trail_m = board.trail_m.window(now_s)[:, 1:]
         self._trail.visible = len(trail_m) > 1
         if len(trail_m) > 1:
             self._trail.points = _pieces(trail_m)
 
-    def _turn(self, node: viser.SceneNodeHandle, z: np.ndarray | None) -> None:
-        """Turn a node as the feature is turned, and put its own axes to it."""
+    def _orient(self, node: viser.SceneNodeHandle, z: np.ndarray | None) -> None:
+        """Orient a node as the feature is, and put its own axes to it."""
         axes = np.zeros((0, 3)) if z is None else self._kind.directions(z)
         if z is None or len(axes) < 3:
             return
@@ -197,41 +198,31 @@ def _joined(points: np.ndarray) -> np.ndarray:
 class Arm:
     """A robot read from URDF, as its driver publishes it; a ``ValueError`` if it is none.
 
-    ``names`` are its n joints in kinematic order, ``tf_prefix`` stands before its links' names.
+    ``names`` are its n joints in kinematic order.
     """
 
-    def __init__(self, text: str, names: Sequence[str], tf_prefix: str = "") -> None:
+    def __init__(self, text: str, names: Sequence[str]) -> None:
         self.names = tuple(names)
         #: Its model, and a sentence on why it has no meshes: then bars stand for its links.
         self.urdf, self.missing = _load(text)
         unknown = [name for name in names if name not in self.urdf.joint_map]
         if unknown:
             raise ValueError(f"robot_description has no joint {', '.join(unknown)}")
-        links = self.urdf.link_map
-        flange, base = f"{tf_prefix}tool0", f"{tf_prefix}base_link"
-        self._flange = flange if flange in links else self.urdf.joint_map[names[-1]].child
-        self._base = base if base in links else self.urdf.base_link
 
     def configuration(self, joints_rad: np.ndarray) -> dict[str, float]:
         """Joint positions by name, of positions in kinematic order, rad, shape (n,)."""
         return {name: float(angle) for name, angle in zip(self.names, joints_rad, strict=True)}
 
-    def flange(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Pose of the flange in ``base_link``, shape (4, 4), m."""
-        self.urdf.update_cfg(self.configuration(joints_rad))
-        return self.urdf.get_transform(self._flange, self._base)
-
     def bars(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Bars from base to joint to joint to flange, in ``base_link``, m, shape (n + 1, 2, 3)."""
+        """Bars from the root from joint to joint, m, shape (n, 2, 3)."""
         self.urdf.update_cfg(self.configuration(joints_rad))
         links = [self.urdf.joint_map[name].child for name in self.names]
-        poses = [self.urdf.get_transform(link, self._base) for link in (*links, self._flange)]
-        return _joined(np.array([np.zeros(3), *(pose[:3, 3] for pose in poses)]))
+        points_m = [self.urdf.get_transform(link)[:3, 3] for link in links]
+        return _joined(np.array([np.zeros(3), *points_m]))
 
-    @property
-    def base(self) -> np.ndarray:
-        """Pose of ``base_link`` in the model's root, shape (4, 4), m."""
-        return self.urdf.get_transform(self._base)
+    def in_root(self, frame: str, pose: np.ndarray) -> np.ndarray:
+        """A pose in a link's frame, (4, 4), m, in the model's root; of another frame, as it is."""
+        return self.urdf.get_transform(frame) @ pose if frame in self.urdf.link_map else pose
 
 
 def _load(text: str) -> tuple[yourdfpy.URDF, str]:

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -123,10 +122,9 @@ class EstimatorNode(ros.FvsNode):
             return
         self._learn(self._loop.add_image, ros.from_stamp(message.header.stamp), z)
 
-    def _on_sliding(self, message: Vector3Stamped | Float64MultiArray) -> None:
-        stamp_s = self._stamp_s  # a vector of a pose has none of its own
-        if isinstance(message, Vector3Stamped):
-            stamp_s = ros.from_stamp(message.header.stamp)
+    def _on_sliding(self, message: Any) -> None:
+        header = getattr(message, "header", None)  # not every kind's has one
+        stamp_s = ros.from_stamp(header.stamp) if header else self._stamp_s
         try:
             sliding = ros.from_sliding(message, self._kind)
         except ros.MessageError as error:

@@ -27,13 +27,6 @@ class FeatureConfig(Parameters):
 
 
 @dataclass(frozen=True)
-class BallConfig(FeatureConfig):
-    """How large the ball is, for those that draw it."""
-
-    ball_radius_m: float = parameter(0.04, "radius of the ball", 0.005, 0.5)
-
-
-@dataclass(frozen=True)
 class CameraTopicsConfig(Parameters):
     """Where the images come from."""
 

@@ -97,7 +97,7 @@ class SimNode(ros.FvsNode):
             if not config.publish_ball_position:  # a detector does
                 others.append(self._kind.topics.tool)
             for topic in others:
-                self.subscribe(topic, partial(self._answer, topic.name))
+                self.subscribe(topic, partial(self._answer, topic.name), ros.QOS_RELIABLE)
             self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
         else:
             self._base_s = self.ros_s()
@@ -243,6 +243,7 @@ class SimNode(ros.FvsNode):
             z = Pose().of_body(camera.position_m, camera.rotation)
             pose = ros.to_feature(self.ros_s(), frame, Pose(), z)
             self._camera_pose.publish(pose)
+            self.publish_transform(pose, self._frame)
         self._play_program(config.program_running)
 
     def _play_program(self, running: bool) -> None:

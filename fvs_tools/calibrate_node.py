@@ -13,7 +13,6 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 
@@ -23,8 +22,8 @@ from fvs_estimator_node.hand_eye import calibrate
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.kinds.pose import Pose
 from fvs_ros.ros.images import from_color, sampled_camera
-from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_tools.calibrate import report, write
@@ -197,20 +196,12 @@ class CalibrateNode(ros.FvsNode):
 
     def _publish_transform(self, found: Calibration) -> bool:
         """Publish it for as long as the node runs; False if that is not possible."""
-        try:
-            from tf2_msgs.msg import TFMessage
-        except ImportError:
-            print("tf2_msgs is not installed: publish it by the command above", file=sys.stderr)
-            return False
-        one = TransformStamped()
-        one.header.frame_id, one.child_frame_id = found.arm.root, found.camera
-        one.header.stamp = self.get_clock().now().to_msg()
-        place, turn = one.transform.translation, one.transform.rotation
-        place.x, place.y, place.z = found.translation_m.tolist()
-        turn.x, turn.y, turn.z, turn.w = quaternion_from_rotation(found.rotation).tolist()
-        self._transforms = self.publisher(topics.TF_STATIC)
-        self._transforms.publish(TFMessage(transforms=[one]))
-        return True
+        z = Pose().of_body(found.translation_m, found.rotation)
+        pose = ros.to_feature(self.ros_s(), found.arm.root, Pose(), z)
+        if self.publish_transform(pose, found.camera):
+            return True
+        print("tf2_msgs is not installed: publish it by the command above", file=sys.stderr)
+        return False
 
     @property
     def _waits_for(self) -> str:

@@ -28,7 +28,6 @@ from fvs_tools.scenario import (
     RECORDER,
     Scenario,
     checked_remap,
-    enclave_arguments,
     load_scenario,
     params_yaml,
     scenario_names,
@@ -129,8 +128,7 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
             for name in scenario:
                 if stop.RECEIVED or first is not None:
                     break
-                arguments = [*common, *enclave_arguments(name, namespace, os.environ)]
-                processes.append(_Process(name, arguments, params.fileno(), terminal))
+                processes.append(_Process(name, common, params.fileno(), terminal))
                 if name == RECORDER:
                     first = _await_bag(processes[-1], scenario[name]["bag_dir"])
             if first is None:
@@ -241,7 +239,7 @@ def _parser() -> argparse.ArgumentParser:
         "--record",
         default="",
         metavar="DIR",
-        help="record all topics and viewer markers into a new bag; docs/recording.md",
+        help="record all topics into a new bag; docs/recording.md",
     )
     parser.add_argument(
         "--record-without-images",

@@ -19,10 +19,16 @@ import yaml
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from fvs_ros import contract, ros, topics
+from fvs_ros import ros, topics
+from fvs_ros.kinds import KINDS
 from fvs_ros.paths import version
-from fvs_tools import observing
-from fvs_tools.observing import LARGE, RecorderConfig, is_recorded
+from fvs_tools.recording import (
+    LARGE,
+    PARAMETERS,
+    RecorderConfig,
+    check_recording,
+    is_recorded,
+)
 
 try:
     from fvs_tools import bag
@@ -67,10 +73,10 @@ class RecorderNode(ros.FvsNode):
     """Looks for topics, fetches their messages, writes them."""
 
     def __init__(self) -> None:
-        super().__init__("fvs_recorder_node", observing.RECORDER_PARAMETERS)
+        super().__init__("fvs_recorder_node", PARAMETERS)
         self._config = RecorderConfig.from_values(self.values)
         self._folder = Path(self._config.bag_dir).expanduser()
-        observing.check_recording(self._folder)
+        check_recording(self._folder)
         self._camera_pose = self.resolve_topic_name(topics.TRUE_CAMERA_POSE.name)
         self._group = ros.NeverReady()
         self._topics: dict[str, _Topic] = {}
@@ -96,17 +102,17 @@ class RecorderNode(ros.FvsNode):
         Not to one whose type depends on the kind of feature: its publisher tells.
         Returns those that were remapped: their full names as declared, and as they are here.
         """
-        remaps, types = {}, Counter(topic.name for topic in contract.TOPICS)
-        for topic in contract.TOPICS:
-            for node, end in topic.publishers.items():
+        every = [*topics.COMMON, *(one for kind in KINDS.values() for one in kind.topics)]
+        remaps, types = {}, Counter(topic.name for topic in every)
+        for topic in every:
+            for node in topic.publishers:
                 own = topic.name.replace("~", node, 1)
                 declared = topics.resolve(own, "", self.get_namespace())
                 name = self.resolve_topic_name(own)
                 if name != declared:
                     remaps[declared] = name
                 if types[topic.name] == 1 and is_recorded(name, topic.type, self._config.images):
-                    for qos in end.qos:
-                        self._add(name, topic.type, ros.PROFILES[qos])
+                    self._add(name, topic.type, ros.PROFILES[topic.offers])
         return remaps
 
     def _look(self) -> None:
@@ -223,7 +229,7 @@ class RecorderNode(ros.FvsNode):
 
 def main() -> int:
     """Run ``fvs_recorder_node``."""
-    return ros.run(RecorderNode, __doc__, observing.RECORDER_PARAMETERS)
+    return ros.run(RecorderNode, __doc__, PARAMETERS)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""``python -m fvs_tools.reference``: writes the pages that follow from the declarations.
+"""``python -m fvs_tools.reference``: writes the page that follows from the declarations.
 
 ``docs/reference.md`` is made from the topics, services, parameters, reasons and exit codes that the
-code declares, ``config/sros2/policy.xml`` from the topics and services. Both are committed; a test
-compares them with what would be written now.
+code declares. It is committed; a test compares it with what would be written now.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import argparse
 import json
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,13 +20,13 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from fvs_controller_node.config import LAWS, SupervisorConfig
 from fvs_controller_node.reasons import Reason
 from fvs_estimator_node.registry import ESTIMATORS
-from fvs_ros import contract, stop, topics
+from fvs_ros import stop, topics
+from fvs_ros.kinds import KINDS
 from fvs_ros.params import Parameter
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
-from fvs_ros.topics import NODES, Topic
 from fvs_tools.scenario import NODE_TABLE
 
-PAGE, POLICY = "docs/reference.md", "config/sros2/policy.xml"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference.md"
 COMMAND = "python -m fvs_tools.reference"
 
 #: A field of a reason's text, and its name without the unit.
@@ -35,22 +34,11 @@ _FIELD = re.compile(r"\{(\w+?)(?:_(?:mm|m|s|rad|m_s|rad_s|deg|hz|percent))?(?::[
 #: A topic, service or parameter within a sentence.
 _NAME = re.compile(r"(?<![\w`/~^.*)])(~?/[a-z]\w*(?:/\w+)*|[a-z]\w*_\w+)(?![\w`/*(])")
 
-#: The enclave for an operator's tools (``ros2 topic``, ``ros2 param``, RViz). It may read
-#: everything, set parameters and targets and call services, but not send joint commands.
-OPERATOR = "fvs_operator"
-
 
 def page() -> str:
     """The whole of ``docs/reference.md``."""
-    functions = (sentence, readable, plain_type, default_text, allowed, links, quality, condition)
-    named = {one.__name__: one for one in (*functions, shared_parameters, parameter_groups)}
-    return _rendered(
-        "reference.md.jinja", named, NODES=NODES, Reason=Reason, stop=stop, TOPICS=contract.TOPICS
-    )
-
-
-def _rendered(template: str, functions: Mapping[str, Callable], **values: Any) -> str:
-    """A template of this folder, in which functions are filters, too."""
+    functions = (sentence, readable, plain_type, default_text, allowed, links)
+    named = {each.__name__: each for each in (*functions, shared_parameters, parameter_groups)}
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         trim_blocks=True,
@@ -58,8 +46,16 @@ def _rendered(template: str, functions: Mapping[str, Callable], **values: Any) -
         keep_trailing_newline=True,
         undefined=StrictUndefined,
     )
-    environment.filters.update(functions)
-    return environment.get_template(template).render(**functions, **values)
+    environment.filters.update(named)
+    by_feature = {"": topics.COMMON, **{name: kind.topics for name, kind in KINDS.items()}}
+    return environment.get_template("reference.md.jinja").render(
+        **named,
+        NODES=topics.NODES,
+        SERVICES=topics.SERVICES,
+        TOPICS=by_feature,
+        Reason=Reason,
+        stop=stop,
+    )
 
 
 # --- topics ---
@@ -73,24 +69,10 @@ def plain_type(name: str) -> str:
 def links(nodes: Iterable[str], other: str = "") -> str:
     """Nodes, and who else, with links to their parameters."""
     names = {node: node.removeprefix("fvs_").removesuffix("_node") for node in nodes}
-    if len(names) == len(NODES):
+    if len(names) == len(topics.NODES):
         return "every node"
     words = [f"[{name}](#{node})" for node, name in names.items()]
     return ", ".join([*words, other] if other else words)
-
-
-def quality(topic: Topic) -> str:
-    """Quality of service that publishers offer and that subscribers ask for."""
-    ends = topic.publishers, topic.subscribers
-    words = [{qos.value: None for end in one.values() for qos in end.qos} for one in ends]
-    return " → ".join(" or ".join(one) for one in words).lstrip().removesuffix(" → ")
-
-
-def condition(topic: Topic) -> str:
-    """Parameter values with which all of its nodes have a topic, as a sentence; empty if always."""
-    ends = [end.given.items() for end in (*topic.publishers.values(), *topic.subscribers.values())]
-    common = [item for item in ends[0] if all(item in end for end in ends)]
-    return "".join(f" With `{name}: {_value(value)}`." for name, value in common)
 
 
 # --- parameters ---
@@ -164,68 +146,16 @@ def readable(template: str) -> str:
     return _FIELD.sub(lambda field: f"*{field[1].replace('_', ' ')}*", template)
 
 
-# --- access rules ---
-
-
-def policy(namespace: str = "") -> str:
-    """The SROS2 policy of nodes in a namespace: who may publish, subscribe and serve what (XML)."""
-    enclaves, everything, services = {}, set(topics.EVERY_NODE_PUBLISHES), set()
-    for name, node in NODES.items():
-        published = {topic.name for topic in contract.publishers(name)}
-        subscribed = {topic.name for topic in contract.subscribers(name)}
-        if node.subscribes_to_all:
-            subscribed.add("/*")
-        served = {*node.serves, *topics.EVERY_NODE_SERVES}
-        enclaves[name] = _rules(published, subscribed, served, node.calls)
-        everything |= {one.replace("~", name, 1) for one in published}
-        services |= {one.replace("~", name, 1) for one in served}
-    sent = {topic.name for topic in contract.TOPICS if topic.also_from == topics.YOU}
-    enclaves[OPERATOR] = _rules(sent, everything, (), services)
-    names = {"resolve": topics.resolve}
-    return _rendered("policy.xml.jinja", names, enclaves=enclaves, namespace=namespace.strip("/"))
-
-
-def _rules(
-    published: Iterable[str],
-    subscribed: Iterable[str],
-    served: Iterable[str],
-    called: Iterable[str],
-) -> dict[tuple[str, str], Iterable[str]]:
-    """What one node may do: names by kind and verb."""
-    declared, *others = topics.CAMERA_PREFIXES  # a camera is looked for under each
-    cameras = [name.partition("/")[2] for name in subscribed if name.startswith(f"{declared}/")]
-    cameras = [f"{other}/{name}" for other in others for name in cameras]
-    return {
-        ("topic", "publish"): {*published, *topics.EVERY_NODE_PUBLISHES},
-        ("topic", "subscribe"): {*subscribed, *cameras, *topics.EVERY_NODE_SUBSCRIBES},
-        ("service", "reply"): served,
-        ("service", "request"): called,
-    }
-
-
 # --- program ---
 
 
-def written() -> dict[str, str]:
-    """What is generated: path within the source tree -> text."""
-    return {PAGE: page(), POLICY: policy()}
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Write the generated files, or one policy to anywhere."""
-    parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__)
-    parser.add_argument("-p", "--policy", type=Path, help="write the SROS2 policy alone, to there")
-    parser.add_argument("-n", "--namespace", default="", help="of the nodes (with --policy)")
-    arguments = parser.parse_args(argv)
-    if arguments.policy is not None:
-        arguments.policy.write_text(policy(arguments.namespace), encoding="utf-8")
-        return EXIT_OK
-    root = Path(__file__).resolve().parents[1]
-    if not (root / "package.xml").is_file():
-        print(f"{PAGE} is written in the source tree only; here, use --policy", file=sys.stderr)
+def main() -> int:
+    """Write the page."""
+    argparse.ArgumentParser(prog=COMMAND, description=__doc__).parse_args()
+    if not PAGE.parent.is_dir():
+        print("the page is written in the source tree only", file=sys.stderr)
         return EXIT_BAD_INPUT
-    for name, text in written().items():
-        (root / name).write_text(text, encoding="utf-8")
+    PAGE.write_text(page(), encoding="utf-8")
     return EXIT_OK
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,16 +21,16 @@ from fvs_ros.arguments import unknown
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.paths import find_file, share_folders
 from fvs_sim_node.robot import moving_joints, robot_of
-from fvs_tools.observing import check_recording
+from fvs_tools.recording import check_recording
 from fvs_tools.schemes import scheme
 
 ALL_NODES = "/**"
-RECORDER, MARKERS = topics.RECORDER, topics.MARKERS_NODE
+RECORDER = topics.RECORDER
 _NAME = r"~?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*"
 _REMAP = re.compile(rf"({_NAME}:)?{_NAME}:=/?{_NAME}", re.ASCII)
 #: What rclpy declares for every node.
 _EVERYWHERE = Parameter("use_sim_time", False, "follow /clock")
-#: What recorder and markers share with the loop.
+#: What the recorder shares with the loop.
 _SHARED = ("use_sim_time", "feature_frame", "feature")
 #: Largest YAML, and longest quotation of it in an error, characters.
 _MOST_YAML, _QUOTED = 2**20, 300
@@ -44,7 +44,7 @@ class NodeEntry:
     """One node that a scenario may start."""
 
     module: str  # that runs it
-    declarations: str  # of its parameters: a module and, unless it is PARAMETERS, a name in it
+    declarations: str  # the module that declares its PARAMETERS
     commands_arm: bool = False  # it is stopped first, while others still listen
     task: bool = False  # its end ends the scenario, its exit code being the scenario's
     #: A passive node: it is stopped last, and its end does not end the scenario, unless it refuses
@@ -53,8 +53,7 @@ class NodeEntry:
 
     def parameters(self) -> ParameterSet:
         """Declared parameters."""
-        module, _, name = self.declarations.partition(":")
-        return ParameterSet(getattr(importlib.import_module(module), name or "PARAMETERS"))
+        return ParameterSet(importlib.import_module(self.declarations).PARAMETERS)
 
 
 #: By the name of node and executable.
@@ -76,12 +75,7 @@ NODE_TABLE: dict[str, NodeEntry] = {
     topics.DASHBOARD: NodeEntry(
         "fvs_dashboard.dashboard_node", "fvs_dashboard.config", observer=True
     ),
-    MARKERS: NodeEntry(
-        "fvs_tools.markers_node", "fvs_tools.observing:MARKERS_PARAMETERS", observer=True
-    ),
-    RECORDER: NodeEntry(
-        "fvs_tools.recorder_node", "fvs_tools.observing:RECORDER_PARAMETERS", observer=True
-    ),
+    RECORDER: NodeEntry("fvs_tools.recorder_node", "fvs_tools.recording", observer=True),
 }
 
 
@@ -91,13 +85,12 @@ def load_scenario(
     scheme_name: str = "",
     record: str = "",
     images: bool = True,
-    markers: bool = False,
 ) -> Scenario:
     """The nodes to start, in this order, and their parameters, for a command line.
 
     ``name`` is a path, or the name of a scenario in ``config``. ``overrides`` are ``name:=value``
     for every node that has the parameter, or ``node:name:=value``; they win over the scheme.
-    ``record`` is the folder of a bag; it adds the recorder, which starts first, and the markers.
+    ``record`` is the folder of a bag; it adds the recorder, which starts first.
 
     A ``ValueError`` says what cannot be started.
     """
@@ -109,8 +102,6 @@ def load_scenario(
         check_recording(Path(record).expanduser())
         recorder = {**sections.pop(RECORDER, {}), "bag_dir": record, "images": images}
         sections = {RECORDER: recorder, **sections}
-    if record or markers:
-        sections.setdefault(MARKERS, {})
     for node, values in sections.items():
         if node not in NODE_TABLE:
             raise ValueError(f"scenario {path}: {unknown('node', node, NODE_TABLE)}")
@@ -221,16 +212,6 @@ def scenario_names() -> dict[str, str]:
         words = path.read_text(encoding="utf-8").partition("\n\n")[0].replace("\n#", "")
         found.setdefault(path.stem, words.removeprefix("# ").partition(". ")[0].rstrip(".") + ".")
     return found
-
-
-def enclave_arguments(node: str, namespace: str, environment: Mapping[str, str]) -> list[str]:
-    """ROS arguments that name a node's SROS2 enclave, where security is on; else none.
-
-    An enclave is named like its node, as in ``config/sros2/policy.xml``.
-    """
-    if environment.get("ROS_SECURITY_ENABLE", "").lower() != "true":
-        return []
-    return ["--enclave", topics.resolve("~", node, namespace)]
 
 
 def checked_remap(text: str) -> str:

@@ -18,7 +18,7 @@ from launch.substitutions import LaunchConfiguration
 
 from fvs_ros.paths import find_file, program
 from fvs_sim_node.robot import robot_description, robot_of
-from fvs_tools.scenario import MARKERS, load_scenario
+from fvs_tools.scenario import load_scenario
 
 #: Name, default, description.
 _ARGUMENTS = (
@@ -36,21 +36,16 @@ _TERM_S, _KILL_S = "1", "20"
 
 
 def _viewer(given):
-    """RViz and markers, and a simulated robot's links; a real one's driver publishes them."""
+    """RViz, and a simulated robot's links; a real one's driver publishes them."""
     from launch_ros.actions import Node
     from launch_ros.parameter_descriptions import ParameterValue
 
     remaps = [tuple(rule.split(":=")) for rule in given["remap"].split()]
     common = {"namespace": given["namespace"], "remappings": remaps}
-    scenario = load_scenario(
-        given["scenario"], given["param"].split(), given["scheme"], markers=True
-    )
+    scenario = load_scenario(given["scenario"], given["param"].split(), given["scheme"])
     prefix = next((v["tf_prefix"] for v in scenario.values() if "tf_prefix" in v), "")
     rviz = ["-d", str(find_file("fvs.rviz")), "-f", f"{prefix}base_link"]
     actions = [Node(package="rviz2", executable="rviz2", arguments=rviz, **common)]
-    if not given["record"]:  # a recording has them anyway
-        values = [scenario[MARKERS]] if scenario[MARKERS] else []
-        actions.append(Node(package="fvs_ros", executable=MARKERS, parameters=values, **common))
     if "fvs_sim_node" in scenario:
         values = scenario["fvs_sim_node"]
         which = [values.get(name, "") for name in ("robot", "urdf_path", "ball_link")]

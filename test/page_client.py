@@ -11,7 +11,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 _COMPLETE_S = 20.0
-_TARGET_NODE = "/base/camera/target"
+_TARGET_NODE = "/camera/target"
 
 
 class PageClient:

@@ -17,7 +17,6 @@ class Ball(Kind):
     name, what, model = "ball", "ball", "models/ur5_front.npz"
     axes = ("x", "y", "z")
     topics = kind_topics(
-        name,
         "geometry_msgs/msg/PointStamped",
         (
             "ball_position",
@@ -25,10 +24,7 @@ class Ball(Kind):
             "silent while the ball is not seen.",
         ),
         ("target_position", "The desired ball position, m, in the frame of `ball_position`."),
-        (
-            "geometry_msgs/msg/Vector3Stamped",
-            "The control law's sliding variable after each image, for the estimator's update law.",
-        ),
+        "geometry_msgs/msg/Vector3Stamped",
     )
 
     def read(self, message: Any) -> np.ndarray:
@@ -41,3 +37,11 @@ class Ball(Kind):
     def write(self, message: Any, z: np.ndarray) -> None:
         """Fill in a ``PointStamped``."""
         message.point.x, message.point.y, message.point.z = z.tolist()
+
+    def read_sliding(self, message: Any) -> np.ndarray:
+        """Sliding variable of a ``Vector3Stamped``, m, (3,)."""
+        return np.array([message.vector.x, message.vector.y, message.vector.z])
+
+    def write_sliding(self, message: Any, sliding_m: np.ndarray) -> None:
+        """Fill in a ``Vector3Stamped``."""
+        message.vector.x, message.vector.y, message.vector.z = sliding_m.tolist()

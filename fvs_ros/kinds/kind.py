@@ -79,6 +79,16 @@ class Kind:
         """Fill in such a message."""
         raise NotImplementedError
 
+    def read_sliding(self, message: Any) -> np.ndarray:
+        """Sliding variable of a message, m, (d,); a ``ValueError`` if it has not d components."""
+        if len(message.data) != self.size:
+            raise ValueError(f"has {len(message.data)} values, expected {self.size}")
+        return np.array(message.data) * self.unit
+
+    def write_sliding(self, message: Any, sliding_m: np.ndarray) -> None:
+        """Fill in the message of a sliding variable, m, (d,)."""
+        message.data = (sliding_m / self.unit).tolist()
+
     def parse(self, numbers: np.ndarray) -> np.ndarray:
         """Measurement of the numbers that a person writes, finite; a ``ValueError`` if wrong."""
         if len(numbers) != self.numbers:

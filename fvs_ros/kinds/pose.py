@@ -39,7 +39,6 @@ class Pose(Kind):
     outliers = 0.05  # its noise depends on the view
     least_joints, flat = 6, False
     topics = kind_topics(
-        name,
         "geometry_msgs/msg/PoseStamped",
         (
             "tool_pose",
@@ -47,10 +46,6 @@ class Pose(Kind):
             "the print, stamped with the exposure; silent while it is not seen or not certain.",
         ),
         ("target_pose", "The desired pose of the tag, in the frame of `tool_pose`."),
-        (
-            "std_msgs/msg/Float64MultiArray",
-            "The same of a pose: 3 components of its origin, 3 of its rotation.",
-        ),
     )
 
     def __init__(self, lever_arm_m: float = 0.3) -> None:

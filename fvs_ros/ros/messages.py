@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Vector3Stamped
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import CameraInfo, Image, JointState
@@ -57,15 +56,11 @@ def from_stamp(stamp: Time) -> float:
 
 
 def _stamped(message_type: type, stamp_s: float, frame: str) -> Any:
-    """A message with a header."""
+    """A message, with its header if its type has one."""
     message = message_type()
-    message.header.stamp, message.header.frame_id = to_stamp(stamp_s), frame
+    if hasattr(message, "header"):
+        message.header.stamp, message.header.frame_id = to_stamp(stamp_s), frame
     return message
-
-
-def _set(fields: Any, names: str, values: np.ndarray) -> None:
-    for name, value in zip(names, values, strict=True):
-        setattr(fields, name, float(value))
 
 
 def message_class(name: str) -> type:
@@ -104,21 +99,17 @@ def from_feature(message: Any, kind: Kind, frame: str, topic: str) -> np.ndarray
 
 def to_sliding(stamp_s: float, frame: str, kind: Kind, sliding_m: np.ndarray) -> Any:
     """Message of a sliding variable, m, (d,)."""
-    of_type = message_class(kind.topics.sliding.type)
-    if of_type is Float64MultiArray:
-        return Float64MultiArray(data=(sliding_m / kind.unit).tolist())
-    message = _stamped(of_type, stamp_s, frame)
-    _set(message.vector, "xyz", sliding_m)
+    message = _stamped(message_class(kind.topics.sliding.type), stamp_s, frame)
+    kind.write_sliding(message, sliding_m)
     return message
 
 
-def from_sliding(message: Vector3Stamped | Float64MultiArray, kind: Kind) -> np.ndarray:
+def from_sliding(message: Any, kind: Kind) -> np.ndarray:
     """Sliding variable of a message, m, (d,); a ``MessageError`` if it has not d components."""
-    if isinstance(message, Vector3Stamped):
-        return np.array([message.vector.x, message.vector.y, message.vector.z])
-    if len(message.data) != kind.size:
-        raise MessageError(f"sliding_variable has {len(message.data)} values, expected {kind.size}")
-    return np.array(message.data) * kind.unit
+    try:
+        return kind.read_sliding(message)
+    except ValueError as error:
+        raise MessageError(f"{kind.topics.sliding.name} {error}") from error
 
 
 def _to_matrix(matrix: np.ndarray, row: str, column: str) -> Float64MultiArray:

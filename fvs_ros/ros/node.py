@@ -9,6 +9,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -97,6 +98,7 @@ class FvsNode(Node):
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._monitors: dict[str, ArrivalMonitor] = {}
         self._status = self.publisher(topics.STATUS)
+        self._transforms: Publisher | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
         self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
         self._health: tuple[bytes, str] = (OK, "starting")
@@ -225,17 +227,33 @@ class FvsNode(Node):
 
         return super().create_service(srv_type, srv_name, on_request, **options)
 
-    def subscribe(self, topic: Topic, callback: Callable[[Any], None]) -> None:
-        """Watch a topic with the type and the qualities of service that are declared for it."""
-        for qos in topic.subscribers[self._declared_name].qos:
-            self.watch(message_class(topic.type), topic.name, callback, PROFILES[qos])
+    def subscribe(
+        self, topic: Topic, callback: Callable[[Any], None], qos: QoSProfile | None = None
+    ) -> None:
+        """Watch a topic with the type and, unless given, the quality of service declared for it."""
+        for profile in [qos] if qos else [PROFILES[asked] for asked in topic.asks]:
+            self.watch(message_class(topic.type), topic.name, callback, profile)
 
     def publisher(self, topic: Topic) -> Publisher:
         """Make a publisher with the type and the quality of service that are declared for it."""
-        (qos,) = topic.publishers[self._declared_name].qos
         own = f"{self._declared_name}/"
         name = topic.name.replace(own, "~/") if topic.name.startswith(own) else topic.name
-        return self.create_publisher(message_class(topic.type), name, PROFILES[qos])
+        return self.create_publisher(message_class(topic.type), name, PROFILES[topic.offers])
+
+    def publish_transform(self, pose: PoseStamped, child: str) -> bool:
+        """Publish a frame's pose on ``/tf_static``; False if ``tf2_msgs`` is not installed."""
+        try:
+            kind = message_class(topics.TF_STATIC.type)
+        except ImportError:
+            return False
+        one = TransformStamped(header=pose.header, child_frame_id=child)
+        at, to = pose.pose.position, one.transform.translation
+        to.x, to.y, to.z = at.x, at.y, at.z
+        one.transform.rotation = pose.pose.orientation
+        if self._transforms is None:
+            self._transforms = self.publisher(topics.TF_STATIC)
+        self._transforms.publish(kind(transforms=[one]))
+        return True
 
     def watch(
         self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile

@@ -58,7 +58,7 @@ LOOK = """() => {
     const button = name => [...document.querySelectorAll("button")]
         .find(one => one.innerText == name);
     const banner = document.getElementById("fvs-banner");
-    const names = ["Stop", "Go", "Set current as target", "Reset everything", "Bump the camera"];
+    const names = ["Stop", "Go", "Set current as target", "Reset", "Bump the camera"];
     return {state: banner.dataset.state, said: text("sentence") + text("hint"),
             error: text("error"), answer: text("answer"), refusal: text("refusal"),
             places: [banner, ...names.map(button)].map(box).join(" ")};

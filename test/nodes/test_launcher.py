@@ -157,8 +157,8 @@ REFUSED = [
     ("fvs_controller_node.node", {"alpha_1": 1.0}, "'alpha_1'; did you mean alpha1?"),
     ("fvs_estimator_node.collector_node", {"output_path": "/proc/nowhere/x.npz"}, "output_path"),
     ("fvs_dashboard.dashboard_node", {"host": "203.0.113.1"}, "cannot be served at 203.0.113.1"),
-    ("fvs_tools.markers_node", ["-p", "port:=9000"], "unknown argument '-p'"),
-    ("fvs_tools.markers_node", ["--ros-args", "-p", "foo"], "cannot start:"),
+    ("fvs_tools.demo_node", ["-p", "port:=9000"], "unknown argument '-p'"),
+    ("fvs_tools.demo_node", ["--ros-args", "-p", "foo"], "cannot start:"),
 ]
 
 

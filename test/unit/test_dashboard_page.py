@@ -14,7 +14,6 @@ from page_client import PageClient
 from viser.infra import _infra
 
 from fvs_dashboard import config, guard
-from fvs_dashboard.board import Actions
 from fvs_dashboard.page import Page
 from fvs_ros.joints import UR_JOINT_NAMES
 
@@ -23,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def served(port=0):
     given = config.DashboardConfig(port=port, model_path="any")
-    return Page(given, UR_JOINT_NAMES, Actions(lambda: None))
+    return Page(given, UR_JOINT_NAMES, lambda action: None)
 
 
 @pytest.fixture

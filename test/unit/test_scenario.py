@@ -7,7 +7,6 @@ import yaml
 from cases import each
 
 from fvs_tools.scenario import (
-    MARKERS,
     RECORDER,
     checked_remap,
     load_scenario,
@@ -84,17 +83,15 @@ def test_a_scheme_sets_method_and_law_and_an_override_wins(one):
     assert other["fvs_estimator_node"]["method"] == one.method
 
 
-def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
+def test_the_recorder_shares_frame_and_time_with_the_loop(tmp_path):
     overrides = ["use_sim_time:=true", "fvs_controller_node:feature_frame:=eye", "law:=mfac"]
     loop = load_scenario("demo", overrides)
     recorded = load_scenario("demo", overrides, record=str(tmp_path / "bag"), images=False)
-    assert list(recorded) == [RECORDER, *loop, MARKERS]
+    assert list(recorded) == [RECORDER, *loop]
     shared = {"use_sim_time": True, "feature_frame": "eye"}
-    assert recorded[MARKERS] == shared
     own = {"bag_dir": str(tmp_path / "bag"), "images": False, "scenario": params_yaml(loop)}
     assert recorded[RECORDER] == {**shared, **own}
     assert yaml.safe_load(params_yaml(recorded))  # text within text
-    assert list(load_scenario("demo", markers=True)) == [*loop, MARKERS]
 
 
 @each("rule", ["a", "a:=", ":=b", "a:=$(id)", "-p:=x", "a:=b\n"])

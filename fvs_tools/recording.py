@@ -1,4 +1,4 @@
-"""Parameters of recorder and markers, and what a recording holds. ``bag.py`` writes it."""
+"""Parameters of the recorder, and what a recording holds. ``bag.py`` writes it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fvs_ros.arguments import how_to_install
-from fvs_ros.camera import BallConfig, FeatureConfig
-from fvs_ros.kinds import KindConfig
+from fvs_ros.camera import FeatureConfig
 from fvs_ros.params import parameter
-
-
-@dataclass(frozen=True)
-class MarkersConfig(BallConfig, KindConfig):
-    """Parameters of ``fvs_markers_node``."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +26,7 @@ class RecorderConfig(FeatureConfig):
     scenario: str = parameter("", "running scenario as YAML, stored in the bag")
 
 
-MARKERS_PARAMETERS, RECORDER_PARAMETERS = MarkersConfig.declared(), RecorderConfig.declared()
+PARAMETERS = RecorderConfig.declared()
 
 #: Topics that are left out without images, and that have a shorter queue.
 LARGE = (
