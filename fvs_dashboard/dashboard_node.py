@@ -25,13 +25,13 @@ from std_msgs.msg import String
 from fvs_dashboard.board import Action, Board, Controller
 from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
 from fvs_dashboard.picture import Picture
-from fvs_dashboard.services import Services
 from fvs_estimator_node.files import load_model
 from fvs_ros import ros, topics
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.paths import find_file
 from fvs_ros.ros.images import from_color, sampled_camera
+from fvs_ros.ros.services import Services
 from fvs_tools.demo import choose_target
 
 _PERIOD_S, _LOOK_PERIOD_S = 0.1, 1.0

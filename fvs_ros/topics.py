@@ -210,7 +210,7 @@ COLOR_IMAGE = Topic(
     "sensor_msgs/msg/Image",
     "Colour image, of any encoding.",
     (SIM,),
-    (DETECTOR, DEMO, DASHBOARD, CALIBRATE),
+    (DETECTOR, DASHBOARD, CALIBRATE),
     also_from=_CAMERA,
     asks=(Qos.RELIABLE,),
 )
@@ -244,7 +244,7 @@ CAMERA_INFO = Topic(
     "sensor_msgs/msg/CameraInfo",
     "The colour camera's model, at the image rate.",
     (SIM,),
-    (DETECTOR, DEMO, DASHBOARD, CALIBRATE),
+    (DETECTOR, DASHBOARD, CALIBRATE),
     also_from=_CAMERA,
 )
 STATUS = Topic(

@@ -6,11 +6,9 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from fvs_ros.camera import Intrinsics
 from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.params import parameter
 from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge, largest_part_m
@@ -26,11 +24,6 @@ class DemoConfig(KindConfig):
         "UR5",
     )
     targets: int = parameter(4, "number of targets", 1, 100)
-    target_positions: str = parameter(
-        "",
-        "targets: 'x y z; x y z; ...', m, of a pose with its quaternion 'x y z qx qy qz qw; ...'; "
-        "empty: chosen by the seed",
-    )
     seed: int = parameter(0, "seed of the choice of targets", 0)
     distance_m: float = parameter(0.3, "wanted distance from one target to the next", 0.05, 1.0)
     target_s: float = parameter(4.0, "time given to each target", 1.0, 60.0)
@@ -41,8 +34,6 @@ PARAMETERS = DemoConfig.declared()
 
 #: Candidates within this of the wanted distance are equally good; otherwise the nearest is taken.
 _DISTANCE_TOLERANCE_M = 0.02
-#: Length of a drawn axis, m.
-_AXIS_M = 0.06
 #: Longest wait for the loop to be ready, s: all nodes may start on a busy machine.
 START_TIMEOUT_S = 30.0
 
@@ -62,20 +53,6 @@ def choose_target(
     mismatch_m = np.abs(apart_m - distance_m)
     fitting = np.flatnonzero(mismatch_m <= max(_DISTANCE_TOLERANCE_M, mismatch_m.min()))
     return candidates[rng.choice(fitting)]
-
-
-def given_targets(text: str, kind: Kind) -> list[np.ndarray]:
-    """The targets of ``target_positions``, (m,) each; a ``ValueError`` if they are none."""
-    targets = []
-    for part in filter(str.strip, text.split(";")):
-        try:
-            numbers = np.array(part.split(), dtype=float)
-            if not np.isfinite(numbers).all():
-                raise ValueError("expected finite numbers")
-            targets.append(kind.parse(numbers))
-        except ValueError as error:
-            raise ValueError(f"target_positions: {part!r}: {error}") from error
-    return targets
 
 
 @dataclass
@@ -134,66 +111,26 @@ def write_results(folder: Path, records: list[TargetRecord], scores: list[Target
     (folder / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def draw(
-    path: Path,
-    records: list[TargetRecord],
-    joint_names: Sequence[str],
-    image_rgb: np.ndarray | None,
-    intrinsics: Intrinsics | None,
-) -> None:
-    """Draw the run into a PNG file: error and joint speeds over time, camera view with the trail.
+def draw(path: Path, records: list[TargetRecord], joint_names: Sequence[str]) -> None:
+    """Draw true errors and joint speeds over time into a PNG file."""
+    from matplotlib.figure import Figure
 
-    The view is the one at the end, shape (height, width, 3), if it came.
-    """
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplot_mosaic(
-        [["error", "view"], ["speed", "view"]],
-        figsize=(13, 6.2),
-        width_ratios=[1.0, 1.15],
-        layout="constrained",
-    )
-    colours = plt.get_cmap("viridis")(np.linspace(0.05, 0.85, len(records)))
+    figure = Figure(figsize=(9.0, 6.2), layout="constrained")
+    error, speed = figure.subplots(2, 1)
     origin_s = records[0].start_s
-    view = axes["view"]
-    view.axis("off")
-    if image_rgb is not None:
-        view.imshow(image_rgb)
-    for number, (record, colour) in enumerate(zip(records, colours, strict=True), start=1):
+    for number, record in enumerate(records, start=1):
         time_s, errors_m = record.errors_m()
         larger_mm = 1e3 * largest_part_m(record.kind, errors_m)
-        axes["error"].semilogy(time_s, larger_mm, color=colour, label=f"target {number}")
-        axes["speed"].axvline(record.start_s - origin_s, color=colour, linewidth=1.5, alpha=0.7)
-        if intrinsics is not None:
-            trail_m = np.array([feature_m[:3] for _, feature_m in record.seen])
-            view.plot(*intrinsics.project(trail_m).T, color=colour)
-            at = intrinsics.project(record.target[:3])
-            _draw_axes(view, intrinsics, record.kind, record.target)
-            view.plot(*at, "+", color="white", markersize=15, markeredgewidth=4)
-            view.plot(*at, "+", color=colour, markersize=14, markeredgewidth=2)
-            view.set(xlim=(0, intrinsics.width), ylim=(intrinsics.height, 0))
-    axes["error"].axhline(SETTLED_ERROR_M * 1e3, color="0.4", linestyle="--", linewidth=1)
+        error.semilogy(time_s, larger_mm, label=f"target {number}")
+        speed.axvline(record.start_s - origin_s, color="0.6")
+    error.axhline(SETTLED_ERROR_M * 1e3, color="0.4", linestyle="--", linewidth=1)
     moments = [(r.start_s - origin_s + t_s, speeds) for r in records for t_s, speeds in r.joints]
-    axes["speed"].plot(*zip(*moments, strict=True), linewidth=1, label=list(joint_names))
-    what = records[0].kind.what
-    axes["error"].set(
-        ylabel="true error (mm)", title=f"{what.capitalize()} to its target, largest part"
-    )
-    axes["speed"].set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
-    view.set_title(f"Camera view at the end, trail of the {what}, targets (+)")
-    for name in ("error", "speed"):
-        axes[name].legend(fontsize=8, ncols=2)
-        axes[name].grid(alpha=0.3)
+    speed.plot(*zip(*moments, strict=True), linewidth=1, label=list(joint_names))
+    what = records[0].kind.what.capitalize()
+    error.set(ylabel="true error (mm)", title=f"{what} to its target, largest part")
+    speed.set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
+    for axes in (error, speed):
+        axes.legend(fontsize=8, ncols=2)
+        axes.grid(alpha=0.3)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
-    plt.close(figure)
-
-
-def _draw_axes(view: Any, intrinsics: Intrinsics, kind: Kind, z: np.ndarray) -> None:
-    """Draw the directions of a feature: x red, y green, z blue."""
-    for axis, colour in zip(kind.directions(z), ("tab:red", "tab:green", "tab:blue"), strict=False):
-        tip_m = z[:3] + _AXIS_M * axis / np.linalg.norm(axis)
-        view.plot(*intrinsics.project(np.stack([z[:3], tip_m])).T, color=colour, linewidth=2)

@@ -12,19 +12,16 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from sensor_msgs.msg import CameraInfo, Image, JointState
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from fvs_estimator_node.files import load_model
 from fvs_ros import ros, topics
-from fvs_ros.camera import Intrinsics
 from fvs_ros.joints import JointMap
 from fvs_ros.paths import find_file
-from fvs_ros.ros.images import from_color
 from fvs_tools import demo
 
 _POLL_S = 0.1
-_IMAGE_WAIT_S = 30.0
 _SILENCE_S = 5.0
 
 
@@ -38,18 +35,12 @@ class DemoNode(ros.FvsNode):
         self._kind = kind = config.kind
         trained = load_model(find_file(config.model_path or kind.model), expected=config)
         self._candidates, names = trained.ball_samples_m, trained.joint_names
-        self._own = demo.given_targets(config.target_positions, kind)
-        self._count = len(self._own) or self._config.targets
         self._rng = np.random.default_rng(self._config.seed)
         self._joint_map = JointMap(names)
         self._records: list[demo.TargetRecord] = []
         self._state = self._reason = ""
         self._wants_target = False
-        self._image_rgb: np.ndarray | None = None
-        self._intrinsics: Intrinsics | None = None
         self._began_s = self.steady_s()
-        self._image_asked_s: float | None = None
-        self._end_s = 0.0  # stamp of the end
         self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
         self._target = self.publisher(kind.topics.target)
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
@@ -64,7 +55,7 @@ class DemoNode(ros.FvsNode):
         values = ros.from_status(message)
         state, before = values.get("state", ""), self._state
         self._state, self._reason = state, message.message
-        if self._records and self._image_asked_s is None:
+        if self._records:
             record = self._records[-1]
             if state not in ("SERVOING", "READY", before) and not record.slowed:
                 print(f"controller {state}: {message.message}", flush=True)
@@ -72,14 +63,14 @@ class DemoNode(ros.FvsNode):
         self._wants_target = values.get("reason") == "NO_TARGET"
 
     def _on_joint_states(self, message: JointState) -> None:
-        if self._records and self._image_asked_s is None:
+        if self._records:
             velocity = self._joint_map.positions(message.name, message.velocity)
             record = self._records[-1]
             moment_s = ros.from_stamp(message.header.stamp) - record.start_s
             record.joints.append((moment_s, velocity))
 
     def _on_truth(self, message: Any) -> None:
-        if self._image_asked_s is not None:
+        if self.exit_code is not None:
             return
         stamp_s = ros.from_stamp(message.header.stamp)
         kind, frame = self._kind, self._config.feature_frame
@@ -93,19 +84,16 @@ class DemoNode(ros.FvsNode):
         record.seen.append((stamp_s - record.start_s, z))
         if record.seen[-1][0] >= self._config.target_s:
             self._report(len(self._records), record)
-            if len(self._records) < self._count:
+            if len(self._records) < self._config.targets:
                 self._next_target(stamp_s, z)
             else:
-                self._ask_image(stamp_s)
+                self._conclude()
 
     # --- the task ---
 
     def _next_target(self, stamp_s: float, z: np.ndarray) -> None:
         kind, config = self._kind, self._config
-        if len(self._own):
-            target = self._own[len(self._records)]
-        else:
-            target = demo.choose_target(kind, self._candidates, z, config.distance_m, self._rng)
+        target = demo.choose_target(kind, self._candidates, z, config.distance_m, self._rng)
         self._target.publish(ros.to_feature(stamp_s, config.feature_frame, kind, target))
         self._records.append(demo.TargetRecord(kind, target, stamp_s, seen=[(0.0, z)]))
 
@@ -114,7 +102,7 @@ class DemoNode(ros.FvsNode):
         settled_s = one.settling_5mm_s
         text = "not settled" if settled_s is None else f"settled after {settled_s:.2f} s"
         print(
-            f"target {number} of {self._count}, "
+            f"target {number} of {self._config.targets}, "
             f"{one.start_distance_m * 1e3:.0f} mm away: {text}, "
             f"final true error {one.final}",
             flush=True,
@@ -127,38 +115,18 @@ class DemoNode(ros.FvsNode):
             print(f"the loop did not get ready: {self._state} {reason}", flush=True)
             self.exit_code = stop.EXIT_FAILURE
         late_s = self.monitor(self._kind.topics.truth.name).age_s(self.now_s())
-        if self._records and self._image_asked_s is None and late_s > _SILENCE_S:
+        if self._records and late_s > _SILENCE_S:
             print(f"the simulator has been silent for {late_s:.0f} s", flush=True)
             self.exit_code = stop.EXIT_FAILURE
-        if self._image_asked_s is not None:
-            complete = self._image_rgb is not None and self._intrinsics is not None
-            if complete or now_s - self._image_asked_s > _IMAGE_WAIT_S:
-                self._conclude()
 
-    # --- the picture and the table ---
-
-    def _ask_image(self, stamp_s: float) -> None:
-        """Subscribe now, not before: the simulator renders full frames for subscribers only."""
-        self._image_asked_s, self._end_s = self.steady_s(), stamp_s
-        self._stop.call_async(Trigger.Request())  # drawing makes the loop late
-        self.subscribe(topics.COLOR_IMAGE, self._on_image)
-        self.subscribe(topics.CAMERA_INFO, self._on_info)
-
-    def _on_image(self, message: Image) -> None:
-        if ros.from_stamp(message.header.stamp) >= self._end_s:  # skips older, queued images
-            self._image_rgb = from_color(message)
-
-    def _on_info(self, message: CameraInfo) -> None:
-        self._intrinsics = ros.from_camera_info(message).intrinsics
+    # --- figure and table ---
 
     def _conclude(self) -> None:
+        self._stop.call_async(Trigger.Request())
         scores = [demo.score(record) for record in self._records]
         folder = Path(self._config.output_dir)
-        if self._image_rgb is None:
-            print(f"no camera image came within {_IMAGE_WAIT_S:.0f} s: the figure has none")
         demo.write_results(folder, self._records, scores)
-        names, view = self._joint_map.names, (self._image_rgb, self._intrinsics)
-        demo.draw(folder / "demo.png", self._records, names, *view)
+        demo.draw(folder / "demo.png", self._records, self._joint_map.names)
         notes = ["slowed: inputs came late" * record.slowed for record in self._records]
         print(f"\n{demo.table(scores, notes)}\n", flush=True)
         print(f"figure: {folder / 'demo.png'}", flush=True)

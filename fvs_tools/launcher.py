@@ -9,7 +9,6 @@ stop.listen()
 import argparse
 import contextlib
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -27,14 +26,12 @@ from fvs_tools.scenario import (
     NODE_TABLE,
     RECORDER,
     Scenario,
-    checked_remap,
     load_scenario,
     params_yaml,
     scenario_names,
 )
 from fvs_tools.schemes import BEYOND, SCHEMES
 
-_NAMESPACE = re.compile(r"([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", re.ASCII)
 _STOP_S = 5.0
 _POLL_S = 0.05
 _print_lock = threading.Lock()
@@ -260,19 +257,13 @@ def main(argv: list[str] | None = None) -> int:
         scenario = load_scenario(
             given.scenario, given.param, given.scheme, given.record, given.images
         )
-        remaps = [checked_remap(text) for text in given.remap]
-        if not _NAMESPACE.fullmatch(given.namespace.strip("/")):
-            raise ValueError(
-                f"--namespace must be names of letters, digits and _ with / between, "
-                f"got '{given.namespace}'"
-            )
     except ValueError as error:
         print(f"fvs_launch: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
     if "fvs_sim_node" in scenario:
         # A simulated arm must not exchange messages with the robots of a laboratory network.
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    return launch(scenario, given.namespace, remaps)
+    return launch(scenario, given.namespace, given.remap)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ A scenario is a standard ROS parameter file: each top-level key is a node to sta
 from __future__ import annotations
 
 import importlib
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,8 +25,6 @@ from fvs_tools.schemes import scheme
 
 ALL_NODES = "/**"
 RECORDER = topics.RECORDER
-_NAME = r"~?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*"
-_REMAP = re.compile(rf"({_NAME}:)?{_NAME}:=/?{_NAME}", re.ASCII)
 #: What rclpy declares for every node.
 _EVERYWHERE = Parameter("use_sim_time", False, "follow /clock")
 #: What the recorder shares with the loop.
@@ -212,13 +209,6 @@ def scenario_names() -> dict[str, str]:
         words = path.read_text(encoding="utf-8").partition("\n\n")[0].replace("\n#", "")
         found.setdefault(path.stem, words.removeprefix("# ").partition(". ")[0].rstrip(".") + ".")
     return found
-
-
-def checked_remap(text: str) -> str:
-    """A remap rule ``from:=to`` (or ``node:from:=to``); a ``ValueError`` if it is none."""
-    if not _REMAP.fullmatch(text):
-        raise ValueError(f"'{text}' is not of the form from_topic:=to_topic")
-    return text
 
 
 # --- YAML from untrusted files: no aliases, nothing oversized ---

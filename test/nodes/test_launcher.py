@@ -138,8 +138,8 @@ def test_every_executable_says_what_it_is_for():
 #: Module, arguments, and words of the refusal.
 REFUSED = [
     (MODULE, ["servo", "--shceme", "best"], "did you mean --scheme?"),
-    (MODULE, ["servo", "--namespace", "a b"], "--namespace must be"),
-    (MODULE, ["servo", "-r", "a"], "not of the form"),
+    (MODULE, ["servo", "--namespace", "a b"], "cannot start: "),
+    (MODULE, ["servo", "-r", "a"], "cannot start: "),
     (SERVO, ["left", "right", "right"], "/right/fvs_controller_node, /right/fvs_est"),
     (SERVO, ["a", "b", "--ros-args", "-r", "__ns:=/lab"], "neither __ns nor __node may be"),
     (SERVO, ["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "has no parameter method"),

@@ -8,7 +8,6 @@ from cases import each
 
 from fvs_tools.scenario import (
     RECORDER,
-    checked_remap,
     load_scenario,
     params_yaml,
 )
@@ -92,12 +91,6 @@ def test_the_recorder_shares_frame_and_time_with_the_loop(tmp_path):
     own = {"bag_dir": str(tmp_path / "bag"), "images": False, "scenario": params_yaml(loop)}
     assert recorded[RECORDER] == {**shared, **own}
     assert yaml.safe_load(params_yaml(recorded))  # text within text
-
-
-@each("rule", ["a", "a:=", ":=b", "a:=$(id)", "-p:=x", "a:=b\n"])
-def test_what_is_no_remap_rule_is_refused(rule):
-    with pytest.raises(ValueError, match="not of the form"):
-        checked_remap(rule)
 
 
 @each("name", ["ur5_real", "ur5_real_collect"])

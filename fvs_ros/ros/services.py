@@ -1,19 +1,17 @@
-"""Service calls of the page's node to the other nodes; none is waited for."""
+"""A person's service calls to the other nodes; none is waited for."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from std_srvs.srv import Trigger
 
 from fvs_ros import topics
-
-if TYPE_CHECKING:
-    from fvs_ros.ros import FvsNode
+from fvs_ros.ros.node import FvsNode
 
 #: Period of repeated stop requests until an answer, and time until the user is warned, s.
 _STOP_AGAIN_S, _STOP_LATE_S = 0.3, 0.5
