@@ -14,7 +14,6 @@ from typing import Any, Final, NamedTuple
 import yaml
 from rosbags import interfaces
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 #: Of rosbag2's format, as ROS 2 Jazzy writes it.
@@ -30,8 +29,7 @@ _HELD_BYTES: Final = 64 * 2**20
 #: What writing into a bag may raise.
 ERRORS: Final = (OSError, WriterError)
 
-_CLOCK, _TRANSFORMS = "rosgraph_msgs/msg/Clock", "tf2_msgs/msg/TFMessage"
-TF_STATIC: Final = "/tf_static"
+_CLOCK = "rosgraph_msgs/msg/Clock"
 
 
 class Message(NamedTuple):
@@ -63,7 +61,8 @@ class SimulatedTime:
     def stamped(self, message: Message) -> list[Message]:
         """Messages whose time is known now; to be called in the order of arrival."""
         if message.message_type == _CLOCK:
-            clock = _read(message).clock
+            told: Any = TYPES.deserialize_cdr(message.data, message.message_type)
+            clock = told.clock
             self._now_ns = clock.sec * 10**9 + clock.nanosec
         self._held.append(message)
         self._held_bytes += len(message.data)
@@ -140,30 +139,3 @@ def _bag_qos(profile: Any) -> interfaces.Qos:
 
     fields = interfaces.Qos._fields
     return interfaces.Qos(*(converted(name, getattr(profile, name)) for name in fields))
-
-
-# --- what a viewer needs ---
-
-
-def camera_mount(message: Message, camera_frame: str) -> Message:
-    """A ``TFMessage`` that places the camera's frame, of the ``PoseStamped`` that holds its pose.
-
-    A ``ValueError`` says that the pose is malformed.
-    """
-    try:
-        stamped: Any = _read(message)
-    except SerdeError as error:
-        raise ValueError(f"{message.topic} is malformed: {error}") from error
-    kinds: Any = TYPES.types
-    at, turn = stamped.pose.position, stamped.pose.orientation
-    place = kinds["geometry_msgs/msg/Transform"](
-        kinds["geometry_msgs/msg/Vector3"](at.x, at.y, at.z), turn
-    )
-    kind = "geometry_msgs/msg/TransformStamped"
-    transforms = kinds[_TRANSFORMS]([kinds[kind](stamped.header, camera_frame, place)])
-    data = bytes(TYPES.serialize_cdr(transforms, _TRANSFORMS))
-    return Message(TF_STATIC, _TRANSFORMS, message.stamp_ns, data)
-
-
-def _read(message: Message) -> Any:
-    return TYPES.deserialize_cdr(message.data, message.message_type)

@@ -77,7 +77,6 @@ class RecorderNode(ros.FvsNode):
         self._config = RecorderConfig.from_values(self.values)
         self._folder = Path(self._config.bag_dir).expanduser()
         check_recording(self._folder)
-        self._camera_pose = self.resolve_topic_name(topics.TRUE_CAMERA_POSE.name)
         self._group = ros.NeverReady()
         self._topics: dict[str, _Topic] = {}
         self._publisher_counts: dict[str, int] = {}
@@ -190,13 +189,6 @@ class RecorderNode(ros.FvsNode):
     def _write(self, message: bag.Message) -> None:
         is_new = message.topic not in self._bag.counts
         self._bag.write(message, self._offers(message.topic) if is_new else ())
-        if message.topic == self._camera_pose:  # a viewer looks for it there
-            try:
-                mount = bag.camera_mount(message, self._config.feature_frame)
-            except ValueError as error:
-                self.log_refusal(str(error))
-            else:
-                self._bag.write(mount, [ros.QOS_LATCHED])
 
     # --- state and end ---
 

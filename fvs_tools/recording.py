@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fvs_ros.arguments import how_to_install
-from fvs_ros.camera import FeatureConfig
-from fvs_ros.params import parameter
+from fvs_ros.params import Parameters, parameter
 
 
 @dataclass(frozen=True)
-class RecorderConfig(FeatureConfig):
+class RecorderConfig(Parameters):
     """Parameters of ``fvs_recorder_node``."""
 
     bag_dir: str = parameter(

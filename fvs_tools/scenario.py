@@ -27,8 +27,6 @@ ALL_NODES = "/**"
 RECORDER = topics.RECORDER
 #: What rclpy declares for every node.
 _EVERYWHERE = Parameter("use_sim_time", False, "follow /clock")
-#: What the recorder shares with the loop.
-_SHARED = ("use_sim_time", "feature_frame", "feature")
 #: Largest YAML, and longest quotation of it in an error, characters.
 _MOST_YAML, _QUOTED = 2**20, 300
 
@@ -107,11 +105,9 @@ def load_scenario(
         _choose_scheme(path, sections, scheme_name)
     for override in overrides:
         _override(path, sections, override)
-    shared = {name: v[name] for v in sections.values() for name in _SHARED if name in v}
-    for node in sections.keys() - loop:
-        known = {name: value for name, value in shared.items() if name in _declared(node)}
-        sections[node] = {**known, **sections[node]}
     if record:
+        if any(values.get("use_sim_time") for values in sections.values()):
+            sections[RECORDER]["use_sim_time"] = True
         sections[RECORDER]["scenario"] = params_yaml({node: sections[node] for node in loop})
     for node, values in sections.items():
         try:

@@ -82,14 +82,13 @@ def test_a_scheme_sets_method_and_law_and_an_override_wins(one):
     assert other["fvs_estimator_node"]["method"] == one.method
 
 
-def test_the_recorder_shares_frame_and_time_with_the_loop(tmp_path):
-    overrides = ["use_sim_time:=true", "fvs_controller_node:feature_frame:=eye", "law:=mfac"]
+def test_the_recorder_shares_the_loops_time(tmp_path):
+    overrides = ["use_sim_time:=true", "law:=mfac"]
     loop = load_scenario("demo", overrides)
     recorded = load_scenario("demo", overrides, record=str(tmp_path / "bag"), images=False)
     assert list(recorded) == [RECORDER, *loop]
-    shared = {"use_sim_time": True, "feature_frame": "eye"}
     own = {"bag_dir": str(tmp_path / "bag"), "images": False, "scenario": params_yaml(loop)}
-    assert recorded[RECORDER] == {**shared, **own}
+    assert recorded[RECORDER] == {"use_sim_time": True, **own}
     assert yaml.safe_load(params_yaml(recorded))  # text within text
 
 
