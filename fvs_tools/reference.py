@@ -87,10 +87,10 @@ def _by_meaning() -> list[dict[str, Parameter]]:
     return list(found.values())
 
 
-def shared_parameters() -> list[tuple[Parameter, list[str], list[str]]]:
-    """Parameters of several nodes: one, its nodes, and those in which it is live."""
+def shared_parameters() -> list[tuple[Parameter, list[str], bool]]:
+    """Parameters of several nodes: one, its nodes, and whether it is live in one of them."""
     return [
-        (next(iter(nodes.values())), list(nodes), [node for node in nodes if nodes[node].live])
+        (next(iter(nodes.values())), list(nodes), any(each.live for each in nodes.values()))
         for nodes in _by_meaning()
         if len(nodes) > 1
     ]
@@ -114,12 +114,13 @@ def parameter_groups(node: str) -> dict[str, list[Parameter]]:
     return groups
 
 
-def allowed(parameter: Parameter) -> str:
-    """Values of a parameter, without words for what its default shows."""
+def allowed(parameter: Parameter, live: bool) -> str:
+    """Values of a parameter, without words for what its default shows, and whether it is live."""
     text = parameter.expected()
-    return (
-        "" if parameter.kind is bool else text.removeprefix("number from ").removeprefix("one of ")
-    )
+    if parameter.kind in (bool, str) and not (parameter.choices or parameter.is_list):
+        text = ""
+    words = text.removeprefix("number from ").removeprefix("one of ")
+    return "; ".join(filter(None, (words, "live" * live)))
 
 
 def sentence(text: str) -> str:
