@@ -36,8 +36,6 @@ ALONE = {
 VARIANTS = {
     "feature": "pose",
     "command_interface": "position",
-    "simulated_time": True,
-    "publish_ball_position": False,
     "compressed_images": True,
     "method": "oracle",
 }
@@ -68,7 +66,9 @@ SETTLE_S = 1.0
 def variants(name):
     """Parameters of a node: its defaults, and others with which it has other topics."""
     declared = NODE_TABLE[name].parameters()
-    others = {"simulated_time": True} if name == topics.SIM else {}
+    others = {}
+    if name == topics.SIM:  # beside a detector
+        others = {"simulated_time": True, "publish_ball_position": False}
     return [{}, *({**others, k: v} for k, v in VARIANTS.items() if k in declared)]
 
 
