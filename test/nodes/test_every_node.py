@@ -30,10 +30,15 @@ from fvs_tools.scenario import NODE_TABLE
 ALONE = {
     "fvs_dashboard": {"port": 0},
     "fvs_recorder_node": {"images": False},
-    "fvs_sim_node": {"joint_state_rate_hz": 10, "image_rate_hz": 1.0},
+    "fvs_sim_node": {  # as beside a detector
+        "joint_state_rate_hz": 10,
+        "image_rate_hz": 1.0,
+        "simulated_time": True,
+        "publish_ball_position": False,
+    },
 }
-#: On these, a node has other topics.
-VARIANTS = {
+#: With these, a node has other topics.
+OTHERS = {
     "feature": "pose",
     "command_interface": "position",
     "compressed_images": True,
@@ -61,15 +66,6 @@ AT_TIMES = {
 TOPICS = (*topics.COMMON, *(topic for kind in KINDS.values() for topic in kind.topics))
 #: Time in which what is not declared would show.
 SETTLE_S = 1.0
-
-
-def variants(name):
-    """Parameters of a node: its defaults, and others with which it has other topics."""
-    declared = NODE_TABLE[name].parameters()
-    others = {}
-    if name == topics.SIM:  # beside a detector
-        others = {"simulated_time": True, "publish_ball_position": False}
-    return [{}, *({**others, k: v} for k, v in VARIANTS.items() if k in declared)]
 
 
 class LoneNode:
@@ -144,16 +140,17 @@ class LoneNode:
 
 @pytest.fixture(params=NODES)
 def nodes(ros_test, request):
-    """A node with its defaults, and its other variants, in one process."""
+    """A node with its defaults, and with its other topics, in one process."""
     name = request.param
-    own = [
-        LoneNode(ros_test, name, f"lone_{number}", given)
-        for number, given in enumerate(variants(name))
-    ]
+    others = {key: value for key, value in OTHERS.items() if key in NODE_TABLE[name].parameters()}
+    own = [LoneNode(ros_test, name, "lone", {})]
+    if others:
+        own.append(LoneNode(ros_test, name, "other", others))
     for node in own:
-        if node.values.get("simulated_time"):  # waits for who answers, and does not race
+        if "simulated_time" in node.values:  # waits for who answers, and does not race
+            topic = f"forward_{node.values['command_interface']}_controller/commands"
             commander = ros_test.node.create_publisher(
-                Float64MultiArray, node.resolve(topics.COMMANDS.name), ros.QOS_RELIABLE
+                Float64MultiArray, node.resolve(topic), ros.QOS_RELIABLE
             )
             rest = partial(commander.publish, ros.to_command(np.zeros(6)))
             ros_test.node.create_timer(0.5, rest)
