@@ -29,37 +29,37 @@ def _sliding(gain: float) -> str:
 def variants() -> Iterator[trials.Trial]:
     """All rows: what is changed, and the row that it is compared with."""
 
-    def one(name: str, against: str = BASE, **changes: Any) -> trials.Trial:
+    def change(name: str, against: str = BASE, **changes: Any) -> trials.Trial:
         labels = {"change": name, "against": against}
         return trials.Trial(duration_s=3.4).changed(labels, **changes)
 
     literal, high = {"discretisation": "literal"}, {"rbf.n1": 30.0}
-    yield one(BASE)
+    yield change(BASE)
     # Its own gains: the fastest to 2 mm, on other cases, of 24 combinations of k1 (0.3 to 3), k2
     # (0.01, 0.05) and k4 (0 to 0.008) below its stability limits.
-    yield one(PRINTED, controller={**literal, "k1": 2.0, "k2": 0.01, "k4": 0.003})
-    yield one(PRINTED_SAME, controller=literal)
-    yield one(FROZEN, method="frozen")
-    yield one(ORACLE, method="oracle")
+    yield change(PRINTED, controller={**literal, "k1": 2.0, "k2": 0.01, "k4": 0.003})
+    yield change(PRINTED_SAME, controller=literal)
+    yield change(FROZEN, method="frozen")
+    yield change(ORACLE, method="oracle")
     # Beside the default of 0.005.
     for gain in (0.0, 0.1, -0.005, -0.1):
-        yield one(_sliding(gain), estimator={"rbf.alpha2": gain})
-    yield one(CAPPED, estimator=high)
-    yield one(UNCAPPED, CAPPED, estimator={**high, "rbf.mu": 1.9})
+        yield change(_sliding(gain), estimator={"rbf.alpha2": gain})
+    yield change(CAPPED, estimator=high)
+    yield change(UNCAPPED, CAPPED, estimator={**high, "rbf.mu": 1.9})
     gains = default_values(law="ftsm")
     for latency_ms, factor in SOFTER.items():
         late = {"latency_s": 1e-3 * latency_ms}
         softer = {name: factor * gains[name] for name in ("alpha2", "alpha3")}
         name = BASE if latency_ms == 40 else f"{latency_ms} ms latency"
         if name != BASE:
-            yield one(name, conditions=late)
+            yield change(name, conditions=late)
         blind = f"{latency_ms} ms, no prediction"
-        yield one(blind, name, conditions=late, predicts=False)
-        yield one(f"{blind}, softer gains", name, conditions=late, predicts=False,
+        yield change(blind, name, conditions=late, predicts=False)
+        yield change(f"{blind}, softer gains", name, conditions=late, predicts=False,
                   controller=softer)  # fmt: skip
-    turned = {"camera_turn_deg": (0.0, 20.0, 0.0)}
-    yield one(TURNED, conditions=turned)
-    yield one(f"20°, {FROZEN}", TURNED, method="frozen", conditions=turned)
+    turned = {"camera_rotation_deg": (0.0, 20.0, 0.0)}
+    yield change(TURNED, conditions=turned)
+    yield change(f"20°, {FROZEN}", TURNED, method="frozen", conditions=turned)
 
 
 def measure(context: lab.Context) -> Results:

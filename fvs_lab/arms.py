@@ -41,7 +41,9 @@ def _simulation(arm: str) -> Simulation:
 
 def _described(arm: str, values: Parameters) -> dict[str, Any]:
     """Values of a node's parameters, the limits filled in from the arm's URDF."""
-    return with_urdf_limits(vars(values), {one.name: one for one in _simulation(arm).world.joints})
+    return with_urdf_limits(
+        vars(values), {joint.name: joint for joint in _simulation(arm).world.joints}
+    )
 
 
 def collect(simulation: Simulation, config: CollectorConfig, late_s: float = 0.0) -> DataSet:
@@ -54,9 +56,9 @@ def collect(simulation: Simulation, config: CollectorConfig, late_s: float = 0.0
     period_s = 1.0 / simulation.config.joint_state_rate_hz
     while not run.ended:
         out = simulation.advance()
-        for seen in out.observations:
-            if seen.z is not None:
-                run.image(out.time_s, seen.stamp_s + late_s, seen.z)
+        for image in out.observations:
+            if image.z is not None:
+                run.image(out.time_s, image.stamp_s + late_s, image.z)
         run.joint_states(out.time_s, out.time_s, out.joints_rad)
         simulation.command(run.tick(out.time_s, period_s))
     names = simulation.world.joint_names
@@ -73,7 +75,7 @@ def learn(arm: str, duration_s: float) -> tuple[TrainedModel, float]:
     assert trained.chain is not None
     low, high = trained.joint_box_rad
     joints_rad = np.random.default_rng(2).uniform(low, high, (500, len(names)))
-    true = np.array([simulation.true_jacobian(one) for one in joints_rad])
+    true = np.array(list(map(simulation.true_jacobian, joints_rad)))
     return trained, float(np.median(relative_errors(trained.chain.jacobian(joints_rad), true)))
 
 
@@ -105,7 +107,7 @@ def servo(task: tuple[str, int, float]) -> list[dict[str, Any]]:
         case = Case(f"{arm} {number + 1}", *pair, number)
         (trial,) = crossed([variant], [case])
         outcome = drive(trial, simulation)
-        start, goal = (tuple(one / limits.share) for one in pair)
+        start, goal = (tuple(joints / limits.share) for joints in pair)
         in_units = replace(case, start_rad=start, goal_rad=goal)
         floor_s = fastest(in_units, equal, SETTLED_ERROR_M, kinematics).time_s
         rows.append(outcome.row(**trial.labels, over_5mm=outcome.to_5mm_s / floor_s))
@@ -116,7 +118,7 @@ def measure(context: lab.Context) -> Results:
     """Measure every arm that is installed."""
     arms = [arm for arm, robot in ROBOTS.items() if robot.installed]
     duration_s = 10.0 if context.quick else MOTION_S
-    tasks = [(arm, context.count(50), duration_s) for arm in context.some(arms, 1)]
+    tasks = [(arm, context.count(50), duration_s) for arm in context.first(arms, 1)]
     return Results(row for rows in context.map(servo, tasks, "arms") for row in rows)
 
 

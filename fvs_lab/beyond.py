@@ -66,14 +66,14 @@ def equipped(scheme: Scheme, terms: Terms) -> Search:
 
 def race(context: lab.Context, cases: Sequence[Case]) -> Results:
     """All schemes, with their defaults and searched, over the floor of each case."""
-    searches = [equipped(one, terms) for terms, schemes in SEARCHED for one in schemes]
+    searches = [equipped(scheme, terms) for terms, schemes in SEARCHED for scheme in schemes]
     if context.quick:  # the sliding mode law and another
         searches = searches[:3:2]
     tuning = make_cases("T", 1 if context.quick else 4, 402)
     racers = [*map(variant, CONTESTANTS), *search_all(context, searches, tuning, seed=8)]
     names = [case.name for case in cases]
     floors_s = dict(zip(names, context.map(floor_s, cases, "the floor"), strict=True))
-    labelled = [one.changed({"part": "race"}) for one in racers]
+    labelled = [racer.changed({"part": "race"}) for racer in racers]
     runs = context.run(crossed(labelled, cases), "against the floor")
     return runs.adding(
         lambda row: {
@@ -106,9 +106,9 @@ def bumped(count: int) -> Iterator[Trial]:
             continue
         drawn += 1
         for (moment, time_s), name in product(MOMENTS.items(), ("best", "extended", "proposed")):
-            one = variant(name, part="camera", moment=moment)
-            struck = None if time_s == math.inf else replace(bump, time_s=time_s)
-            yield from crossed([one.changed(duration_s=3.5, bump=struck)], cases)
+            blow = None if time_s == math.inf else replace(bump, time_s=time_s)
+            still = variant(name, part="camera", moment=moment)
+            yield from crossed([still.changed(duration_s=3.5, bump=blow)], cases)
 
 
 def with_slowdown(runs: Results) -> Results:
@@ -151,10 +151,12 @@ def pursuits(count: int, speeds_m_s: Sequence[float], names: Sequence[str]) -> I
         plane = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
         case = Case(f"circle {number + 1}", home, home, 405_001 + number)
         for speed_m_s, forward, name in product(speeds_m_s, (True, False), names):
-            one = variant(name, part="tracking", speed_m_s=speed_m_s, feed_forward=forward)
-            path = partial(on_circle, start_m, plane, speed_m_s)
-            moving = one.changed(
-                controller={"target_feed_forward": forward}, record=True, path=path
+            moving = variant(
+                name, part="tracking", speed_m_s=speed_m_s, feed_forward=forward
+            ).changed(
+                controller={"target_feed_forward": forward},
+                record=True,
+                path=partial(on_circle, start_m, plane, speed_m_s),
             )
             yield from crossed([moving], [case])
 
@@ -190,16 +192,20 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
     over = races["best"].median("over_5mm")
     yield lab.ours("best", lab.below("settling to 5 mm over the floor", over, 1.15))
 
-    def faster(one: str, other: str) -> lab.Part:
-        ratio = races[one].over(races[other], "over_5mm")
-        return lab.below(f"settling time of {one} over that of {other}", ratio, 1.0)
+    def faster(scheme: str, rival: str) -> lab.Part:
+        ratio = races[scheme].over(races[rival], "over_5mm")
+        return lab.below(f"settling time of {scheme} over that of {rival}", ratio, 1.0)
 
     yield lab.ours("extended", *(faster("extended", name) for name in SCHEMES))
     for terms, schemes in SEARCHED:
-        rivals = [one for one in schemes if one.law != "ftsm" and one.method != "oracle"]
-        others = [name for one in rivals if (name := f"{one.name}, {terms.title}") in races]
-        if others:
-            best = min(others, key=lambda name: races[name].median("over_5mm").value)
+        rivals = [
+            name
+            for scheme in schemes
+            if scheme.law != "ftsm" and scheme.method != "oracle"
+            if (name := f"{scheme.name}, {terms.title}") in races
+        ]
+        if rivals:
+            best = min(rivals, key=lambda name: races[name].median("over_5mm").value)
             yield lab.papers("law", faster(f"extended, {terms.title}", best), how=terms.title)
     for moment, shaken in parts["camera"].groups("moment").items():
         shaken_by = shaken.groups("scheme")

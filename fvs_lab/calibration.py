@@ -70,22 +70,22 @@ def zeros_rad(seed: int, size_deg: float) -> np.ndarray:
 
 
 def errors(
-    simulation: Simulation, zeros: np.ndarray, rotation: np.ndarray, place_m: np.ndarray
+    simulation: Simulation, zeros: np.ndarray, rotation: np.ndarray, position_m: np.ndarray
 ) -> np.ndarray:
-    """Of a camera's pose in the arm's frame: place, m, and turn, rad, (6,).
+    """Of a camera's pose in the arm's frame: position, m, and rotation, rad, (6,).
 
-    An error of the first joint's zero turns the arm's frame as such.
+    An error of the first joint's zero rotates the arm's frame as such.
     """
-    turn = rotation_from_vector(-zeros[0] * arm().axes[0])
+    reported_from_true = rotation_from_vector(-zeros[0] * arm().axes[0])
     camera = simulation.camera
-    off = vector_from_rotation_rad(rotation @ (turn @ camera.rotation).T)
-    return np.append(place_m - turn @ camera.position_m, off)
+    error_rad = vector_from_rotation_rad(rotation @ (reported_from_true @ camera.rotation).T)
+    return np.append(position_m - reported_from_true @ camera.position_m, error_rad)
 
 
-def _row(scheme: str, zeros_deg: float, off: np.ndarray, **columns: Any) -> dict[str, Any]:
-    place_m, turn_rad = np.linalg.norm(off.reshape(2, 3), axis=1).tolist()
+def _row(scheme: str, zeros_deg: float, error: np.ndarray, **columns: Any) -> dict[str, Any]:
+    position_m, angle_rad = np.linalg.norm(error.reshape(2, 3), axis=1).tolist()
     labels = {"scheme": scheme, "zeros_deg": zeros_deg, **columns}
-    return {**labels, "place_m": place_m, "turn_deg": float(np.degrees(turn_rad))}
+    return {**labels, "position_m": position_m, "angle_deg": float(np.degrees(angle_rad))}
 
 
 def by_motion(task: tuple[int, str, float]) -> list[dict[str, Any]]:
@@ -103,10 +103,10 @@ def by_motion(task: tuple[int, str, float]) -> list[dict[str, Any]]:
     rows = []
     for size_deg in ZEROS_DEG:
         zeros = zeros_rad(seed, size_deg)
-        found = calibrate(replace(data, joints_rad=data.joints_rad - zeros), arm())
-        off = errors(simulation, zeros, found.rotation, found.translation_m)
-        inside = bool(off @ np.linalg.solve(found.covariance, off) < _ELLIPSOID)
-        rows.append(_row(f"motion, {feature}", size_deg, off, seed=seed, inside=inside))
+        camera = calibrate(replace(data, joints_rad=data.joints_rad - zeros), arm())
+        error = errors(simulation, zeros, camera.rotation, camera.translation_m)
+        inside = bool(error @ np.linalg.solve(camera.covariance, error) < _ELLIPSOID)
+        rows.append(_row(f"motion, {feature}", size_deg, error, seed=seed, inside=inside))
     return rows
 
 
@@ -117,84 +117,86 @@ def by_solvers(seed: int) -> list[dict[str, Any]]:
     joints: list[np.ndarray] = []
     boards: list[tuple[np.ndarray, np.ndarray]] = []
     while len(joints) < TAUGHT:
-        one = HOME_RAD + rng.uniform(-1.0, 1.0, HOME_RAD.size) * BOX_RAD
-        simulation.reset(one, seed)
-        seen = simulation.look().detection
-        if isinstance(seen, TagPose):
-            joints.append(one)
-            boards.append((seen.rotation, seen.position_m))
+        drawn = HOME_RAD + rng.uniform(-1.0, 1.0, HOME_RAD.size) * BOX_RAD
+        simulation.reset(drawn, seed)
+        board = simulation.look().detection
+        if isinstance(board, TagPose):
+            joints.append(drawn)
+            boards.append((board.rotation, board.position_m))
     rows = []
     for size_deg in ZEROS_DEG:
         zeros = zeros_rad(seed, size_deg)
         reported = np.array(joints) - zeros
-        off = errors(simulation, zeros, *least_squares_pose(reported, boards))
-        rows.append(_row(LEAST_SQUARES, size_deg, off, seed=seed))
-        turns, places = arm().tip_at(reported)  # rows: the tip's axes
+        error = errors(simulation, zeros, *least_squares_pose(reported, boards))
+        rows.append(_row(LEAST_SQUARES, size_deg, error, seed=seed))
         # The solvers are for a camera in the hand; for one beside it, the base moves as the tip
         # sees it.
-        shifts = [-turn @ place for turn, place in zip(turns, places, strict=True)]
+        tip_from_base, tips_m = arm().tip_at(reported)
+        bases_m = [-rot @ tip_m for rot, tip_m in zip(tip_from_base, tips_m, strict=True)]
         for name, method in SOLVERS.items() if _SOLVE else ():
-            rotation, place = _SOLVE(
-                list(turns), shifts, *map(list, zip(*boards, strict=True)), method=method
+            rotation, position_m = _SOLVE(
+                list(tip_from_base), bases_m, *map(list, zip(*boards, strict=True)), method=method
             )
-            off = errors(simulation, zeros, rotation, place.ravel())
-            rows.append(_row(name, size_deg, off, seed=seed))
+            error = errors(simulation, zeros, rotation, position_m.ravel())
+            rows.append(_row(name, size_deg, error, seed=seed))
     return rows
 
 
 def least_squares_pose(
     reported_rad: np.ndarray, boards: list[tuple[np.ndarray, np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A camera's rotation and place, m, by least squares with the joints' zeros as unknowns.
+    """A camera's rotation and position, m, by least squares with the joints' zeros as unknowns.
 
-    Of boards at reported joints, rad, (k, n), and the rotations and places, m, that images show.
-    Turns count as shifts over 0.3 m. The zero of the first joint counts as the base's.
+    Of boards at reported joints, rad, (k, n), with rotations and positions, m, from images.
+    Rotations count by their arcs at 0.3 m. The zero of the first joint counts as the base's.
     """
     pose, kin = Pose(0.3), arm()
-    seen = np.array([pose.of_body(place, rotation) for rotation, place in boards])
+    measured = np.array([pose.of_body(position, rotation) for rotation, position in boards])
     start = registered(
-        DataSet(np.arange(len(seen)), reported_rad, seen, np.arange(len(seen)), kin.names,
+        DataSet(np.arange(TAUGHT), reported_rad, measured, np.arange(TAUGHT), kin.names,
                 feature=Pose.name), kin,
     )  # fmt: skip
 
     def chain(values: np.ndarray) -> SerialChain:
-        turn, middle = rotation_from_vector(values[:3]), seen[:, :3].mean(axis=0)
-        moved = start.moved(turn, middle - turn @ middle + values[3:6])
+        rotation, middle = rotation_from_vector(values[:3]), measured[:, :3].mean(axis=0)
+        moved = start.moved(rotation, middle - rotation @ middle + values[3:6])
         return replace(moved, feature_m=pose.retract(moved.feature_m, values[6:12]))
 
-    def off(values: np.ndarray) -> np.ndarray:
+    def residuals(values: np.ndarray) -> np.ndarray:
         zeros = np.append(0.0, values[12:])
-        return np.ravel(pose.weights * (chain(values).position(reported_rad + zeros) - seen))
+        return np.ravel(pose.weights * (chain(values).position(reported_rad + zeros) - measured))
 
-    found = chain(least_squares(off, np.zeros(11 + len(kin.names))).x)
-    rotation = Rotation.align_vectors(kin.axes, found.axes)[0].as_matrix()
-    return rotation, kin.points_m[0] - rotation @ found.points_m[0]
+    fitted = chain(least_squares(residuals, np.zeros(11 + len(kin.names))).x)
+    rotation = Rotation.align_vectors(kin.axes, fitted.axes)[0].as_matrix()
+    return rotation, kin.points_m[0] - rotation @ fitted.points_m[0]
 
 
 def measure(context: lab.Context) -> Results:
     """Calibrate by motion and by taught poses, with many seeds."""
     seeds = range(1, 1 + context.count(20))
-    duration_s = 10.0 if context.quick else MOTION_S
+    duration_s = 8.0 if context.quick else MOTION_S
     features = FEATURES[: 1 if context.quick else None]
     tasks = [(seed, feature, duration_s) for feature in features for seed in seeds]
     motion = context.map(by_motion, tasks, "motion")
     taught = context.map(by_solvers, seeds, "taught poses")
-    rows = [row for some in (*motion, *taught) for row in some]
-    return Results(rows)
+    return Results(row for rows in (*motion, *taught) for row in rows)
 
 
 def claims(runs: Results) -> Iterator[lab.Claim]:
     """Accuracy, honesty, and the classic solvers."""
     motion = runs.those(lambda row: row["scheme"] in MOTION)
-    for zeros_deg, (place_m, turn_deg) in LIMITS.items():
+    for zeros_deg, (position_m, angle_deg) in LIMITS.items():
         group = motion.where(zeros_deg=zeros_deg)
-        good = [row["place_m"] < place_m and row["turn_deg"] < turn_deg for row in group]
+        good = [row["position_m"] < position_m and row["angle_deg"] < angle_deg for row in group]
         yield lab.ours("exact" if zeros_deg == 0.0 else "zeros", lab.kept("runs", good, 1.0))
         others = runs.where(zeros_deg=zeros_deg).groups("scheme")
         parts = []
-        for column, label, factor in (("place_m", "place, mm", 1e3), ("turn_deg", "turn, °", 1.0)):
+        for column, label, factor in (
+            ("position_m", "position, mm", 1e3),
+            ("angle_deg", "angle, °", 1.0),
+        ):
             medians = [
-                one.median(column).value for name, one in others.items() if name not in MOTION
+                rival.median(column).value for name, rival in others.items() if name not in MOTION
             ]
             parts.append(lab.below(label, group.median(column), min(medians), factor))
         yield lab.ours("solvers", *parts, zeros=zeros_deg)
@@ -205,17 +207,23 @@ TABLES = (
     lab.TableOf(
         "schemes",
         ("scheme",),
-        ("place_m:half", "place_m:largest", "turn_deg:half", "turn_deg:largest", "inside:of"),
+        (
+            "position_m:half",
+            "position_m:largest",
+            "angle_deg:half",
+            "angle_deg:largest",
+            "inside:of",
+        ),
         across="zeros_deg",
     ),
 )
 
 
 def figures(runs: Results) -> Iterator[lab.Drawn]:
-    """Errors of place and turn, a dot per seed."""
+    """Errors of position and angle, a dot per seed."""
     figure, axes = draw.grid(2, 2, (12.0, 7.0), sharey="row")
     for row, group in zip(axes, runs.groups("zeros_deg").values(), strict=True):
-        for axis, column in zip(row, ("place_m", "turn_deg"), strict=True):
+        for axis, column in zip(row, ("position_m", "angle_deg"), strict=True):
             draw.dots_of(axis, group, "scheme", column)
             axis.set_xscale("log")
     yield "errors", figure, {}

@@ -111,10 +111,10 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
         simulation.command(motion.command(simulation.time_s, joints))
         out = simulation.advance()
         joints = out.joints_rad
-        for seen in out.observations:
-            truth_m[round(1e6 * seen.stamp_s)] = seen.true_position_m
-            if seen.z is not None:
-                images += track.add_image(seen.stamp_s, seen.z)
+        for image in out.observations:
+            truth_m[round(1e6 * image.stamp_s)] = image.true_position_m
+            if image.z is not None:
+                images += track.add_image(image.stamp_s, image.z)
         images += track.add_joints(out.time_s, joints, None)
     steps = [step for step in map(pairing.step, images) if step is not None]
     ends_m, starts_m = (
@@ -183,18 +183,19 @@ def judge_all(job: tuple[str, Conditions, int, float]) -> list[dict[str, Any]]:
     """Make a recording (world, conditions, seed, length in s), and judge all on it."""
     world, conditions, seed, duration_s = job
     axis = np.random.default_rng([seed, 2]).normal(size=3)
-    conditions = replace(conditions, camera_turn_deg=along(axis, WORLDS[world]))
+    conditions = replace(conditions, camera_rotation_deg=along(axis, WORLDS[world]))
     if world == SILENT:
         conditions = replace(conditions, position_noise_m=0.0, depth_noise=0.0)
     recording = record(seed, conditions, duration_s)
     rows, jacobians = [], {}
-    for one in ESTIMATORS:
-        estimator = make_estimator(one.method, simulation_of(conditions), one.values)
-        score = judge(estimator, recording, one.hears_prelude)
-        row = {"world": world, "estimator": one.name, "case": seed, **score.row(duration_s)}
-        jacobians[one.name] = score.jacobian
-        if one.method == "ukf":
-            twin = jacobians[one.name.replace("UKF", "LKF")]
+    for contestant in ESTIMATORS:
+        name, method = contestant.name, contestant.method
+        estimator = make_estimator(method, simulation_of(conditions), contestant.values)
+        score = judge(estimator, recording, contestant.hears_prelude)
+        row = {"world": world, "estimator": name, "case": seed, **score.row(duration_s)}
+        jacobians[name] = score.jacobian
+        if method == "ukf":
+            twin = jacobians[name.replace("UKF", "LKF")]
             row["lkf_difference_m_rad"] = float(np.abs(score.jacobian - twin).max())
         rows.append(row)
     return rows
@@ -224,27 +225,30 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
     def best(world: str, criterion: str, names: list[str]) -> str:
         """The least median; those that are equal but for rounding stay in order."""
         return min(
-            names, key=lambda one: float(f"{groups[world, one].median(criterion).value:.9g}")
+            names, key=lambda name: float(f"{groups[world, name].median(criterion).value:.9g}")
         )
 
-    def less(world: str, one: str, other: str, criterion: str) -> lab.Part:
-        label = f"{label_of(criterion).partition(',')[0]} of {one} over {other}, {world}"
-        return lab.below(label, groups[world, one].over(groups[world, other], criterion), 1.0)
+    def less(world: str, name: str, rival: str, criterion: str) -> lab.Part:
+        label = f"{label_of(criterion).partition(',')[0]} of {name} over {rival}, {world}"
+        return lab.below(label, groups[world, name].over(groups[world, rival], criterion), 1.0)
 
     def against_best(world: str, criterion: str) -> lab.Part:
         return less(world, PROPOSED, best(world, criterion, [*rivals, *rls]), criterion)
 
     rivals, rls = (
-        [one.name for one in RIVALS if (one.method == "rls") is is_rls] for is_rls in (False, True)
+        [rival.name for rival in RIVALS if (rival.method == "rls") is is_rls]
+        for is_rls in (False, True)
     )
-    yield lab.papers("unmoved", *(against_best(NOISE, one) for one in ("t1_m", "t2_max_m")))
+    yield lab.papers(
+        "unmoved", *(against_best(NOISE, criterion) for criterion in ("t1_m", "t2_max_m"))
+    )
     for criterion, title in (("t1_m", "T1"), ("t2_max_m", "the largest T2")):
         parts = [against_best(world, criterion) for world in rotated]
         yield lab.papers("rotated", *parts, criterion=title)
     parts = []
     for world in (NOISE, *rotated):
         others = (best(world, "t1_m", rivals), PROPOSED)
-        worst = max(others, key=lambda one: groups[world, one].median("t1_m").value)
+        worst = max(others, key=lambda name: groups[world, name].median("t1_m").value)
         parts.append(less(world, worst, best(world, "t1_m", rls), "t1_m"))
     yield lab.papers("rls", *parts)
     difference = max(runs.values("lkf_difference_m_rad"))
@@ -274,13 +278,13 @@ def _series_mm(name: str, row: Mapping[str, Any]) -> np.ndarray:
 def figures(runs: Results) -> Iterator[lab.Drawn]:
     """Figures 6 and 7 of the paper."""
     looks = {
-        one.name: {
-            "color": draw.COLOURS[one.method],
-            "linestyle": "-" if one.hears_prelude else "--",
+        contestant.name: {
+            "color": draw.COLOURS[contestant.method],
+            "linestyle": "-" if contestant.hears_prelude else "--",
             # The UKF broad and pale, behind the LKF's.
-            **({"linewidth": 6.0, "alpha": 0.45} if one.method == "ukf" else {}),
+            **({"linewidth": 6.0, "alpha": 0.45} if contestant.method == "ukf" else {}),
         }
-        for one in ESTIMATORS[:-1]
+        for contestant in ESTIMATORS[:-1]
     }
     for name in ("t1", "t2"):
         worlds = runs.groups("world").items()

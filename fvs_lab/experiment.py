@@ -54,7 +54,7 @@ class Context:
         """Number of seeded cases; a quick run has one."""
         return self.seeds or (1 if self.quick else default)
 
-    def some(self, items: Iterable[T], count: int) -> list[T]:
+    def first(self, items: Iterable[T], count: int) -> list[T]:
         """All items, or the first few in a quick run."""
         return list(items)[: count if self.quick else None]
 
@@ -75,12 +75,12 @@ class Context:
         return list(tqdm(done, desc=label, total=len(items), leave=False, disable=None))
 
     def outcomes(self, trials: Iterable[Trial], label: str) -> list[Outcome]:
-        """Run trials; those of a quick run take half a second, and compute faster."""
+        """Run trials; those of a quick run take 0.2 s, and compute faster."""
         if self.quick:
             faster = {"rendered": False, "physics_rate_hz": 125.0}
             trials = [
-                one.changed(conditions=faster, duration_s=min(one.duration_s, 0.5))
-                for one in trials
+                trial.changed(conditions=faster, duration_s=min(trial.duration_s, 0.2))
+                for trial in trials
             ]
         return self.map(run_trial, trials, label)
 
@@ -115,23 +115,25 @@ class Part:
     margin: float = 0.0
 
 
-def below(label: str, one: Interval, bound: float, factor: float = 1.0, unit: str = "") -> Part:
+def below(
+    label: str, measured: Interval, bound: float, factor: float = 1.0, unit: str = ""
+) -> Part:
     """A number whose whole interval must be below a bound."""
-    text = f"{one.text(2, factor)}{unit} (below {factor * bound:.3g}{unit})"
-    return Part(label, text, one.below(bound), one.high / bound)
+    text = f"{measured.text(2, factor)}{unit} (below {factor * bound:.3g}{unit})"
+    return Part(label, text, measured.below(bound), measured.high / bound)
 
 
-def above(label: str, one: Interval, bound: float) -> Part:
+def above(label: str, measured: Interval, bound: float) -> Part:
     """A number whose whole interval must be above a bound."""
-    text = f"{one.text()} (above {bound:g})"
-    return Part(label, text, one.above(bound), bound / max(one.low, 1e-12))
+    text = f"{measured.text()} (above {bound:g})"
+    return Part(label, text, measured.above(bound), bound / max(measured.low, 1e-12))
 
 
-def share_above(label: str, one: Interval, bound: float) -> Part:
+def share_above(label: str, measured: Interval, bound: float) -> Part:
     """A share whose whole Wilson interval must be above a bound."""
-    hits = round(one.value * one.count)
-    text = f"{hits} of {one.count}, {one.text(1, 1e2)} % ({100 * bound:g} %)"
-    return replace(above(label, one, bound), measured=text)
+    hits = round(measured.value * measured.count)
+    text = f"{hits} of {measured.count}, {measured.text(1, 1e2)} % ({100 * bound:g} %)"
+    return replace(above(label, measured, bound), measured=text)
 
 
 def kept(label: str, hits: Sequence[bool], least: float) -> Part:
@@ -242,7 +244,8 @@ class Experiment:
             save(drawing, context.folder(self.name) / file)
             figures.append({"file": file, "caption": words(f"figure_{name}", **arguments)})
         tables = [
-            {"caption": words(f"table_{one.name}"), "rows": one.of(runs)} for one in self.tables
+            {"caption": words(f"table_{table.name}"), "rows": table.of(runs)}
+            for table in self.tables
         ]
         return {
             "name": self.name,

@@ -39,17 +39,17 @@ def variants() -> Iterator[Trial]:
     faster = {**implicit, "alpha2": 1.6 * 0.3, "alpha3": 1.6 * 0.45}
     for form, noise_m in FORMS.items():
         gains: dict[str, Any] = implicit if form.startswith("implicit") else printed
-        values = {f"{one:g}": {**gains, "lambda1": one, "lambda2": 0.0} for one in EXPONENTS}
+        values = {f"{power:g}": {**gains, "lambda1": power, "lambda2": 0.0} for power in EXPONENTS}
         values[ADAPTIVE] = {**gains, "lambda1": 0.3, "lambda2": 0.2, "switch_error_m": 0.00688}
         if gains is implicit:
             larger = {"lambda1": 0.6375, "lambda2": 0.2625, "switch_error_m": 0.005}
             values[SCALED] = {**faster, **larger}
         else:
             values[UNSTABLE] = {**values["0.5"], "k1": 1.63, "k2": 0.067, "k4": 0.125}
-        for exponent, one in values.items():
+        for exponent, controller in values.items():
             yield Trial(record=True).changed(
                 {"form": form, "exponent": exponent},
-                controller=one,
+                controller=controller,
                 conditions={"rendered": noise_m > 0.0, "position_noise_m": noise_m},
             )
 
@@ -75,10 +75,10 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
     stable = groups[PRINTED, UNSTABLE]
     yield lab.papers("printed", lab.kept("runs within 5 mm", stable.values("settled"), 0.95))
     for name, metric in (("faster", "to_5mm_s"), ("pace", "pace")):
-        medians = [groups[IMPLICIT, f"{one:g}"].median(metric).value for one in EXPONENTS]
+        medians = [groups[IMPLICIT, f"{power:g}"].median(metric).value for power in EXPONENTS]
         text = ", ".join(
-            f"{number_text(one, 2)} at {exponent:g}"
-            for one, exponent in zip(medians, EXPONENTS, strict=True)
+            f"{number_text(middle, 2)} at {exponent:g}"
+            for middle, exponent in zip(medians, EXPONENTS, strict=True)
         )
         rising = all(after >= before for before, after in pairwise(medians))
         yield lab.papers(name, lab.Part(label_of(metric), text, rising))
@@ -138,7 +138,7 @@ def _fastest_joint(row: Mapping[str, Any]) -> np.ndarray:
 def _adaptive(forms: Mapping[str, Results]):
     """One run with the adaptive exponent and two fixed ones; figure 3."""
     colours = zip(("0.1", "0.5", ADAPTIVE), ("#D55E00", "#009E73", "#0072B2"), strict=True)
-    looks: dict[str, dict[str, Any]] = {name: {"color": one} for name, one in colours}
+    looks: dict[str, dict[str, Any]] = {name: {"color": colour} for name, colour in colours}
     axis_names = {ADAPTIVE: {"label": ["x", "y", "z"]}}
     figure, axes = draw.grid(3, 3, (12, 8), sharex=True, sharey="row")
     for column, form in zip(axes.T, (PRINTED, IMPLICIT, NOISY), strict=True):

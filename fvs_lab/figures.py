@@ -93,11 +93,11 @@ def plain_ticks(axis: Axes, ticks: Sequence[float]) -> None:
 
 def legend(figure: Figure, columns: int = 4) -> None:
     """One legend below all panels, each label once."""
-    found: dict[str, Any] = {}
+    handle_of: dict[str, Any] = {}
     for axis in figure.axes:
         handles, labels = axis.get_legend_handles_labels()
-        found = dict(zip(labels, handles, strict=True)) | found
-    figure.legend(found.values(), found, loc="outside lower center", ncols=columns)
+        handle_of = dict(zip(labels, handles, strict=True)) | handle_of
+    figure.legend(handle_of.values(), handle_of, loc="outside lower center", ncols=columns)
 
 
 # ---- over time ------------------------------------------------------------------------------
@@ -139,16 +139,16 @@ def dots_of(axis: Axes, runs: Results, by: str, metric: str, most: float = np.in
 
     What is larger than ``most`` stands there.
     """
-    one, groups = METRICS[metric], runs.groups(by)
+    shown_as, groups = METRICS[metric], runs.groups(by)
     names = [number_text(value) for value in groups]
-    for place, (name, some) in enumerate(zip(names, groups.values(), strict=True)):
-        shown = np.minimum(one.factor * np.array(some.values(metric), dtype=float), most)
+    for height, (name, group) in enumerate(zip(names, groups.values(), strict=True)):
+        shown = np.minimum(shown_as.factor * np.array(group.values(metric), dtype=float), most)
         shown = shown[np.isfinite(shown)]
         if shown.size:
             look: dict[str, Any] = {"color": colour_of(name)}
-            axis.plot(shown, np.full(shown.size, place), "o", alpha=0.45, markersize=4, **look)
-            axis.plot(2 * [np.median(shown)], [place - 0.32, place + 0.32], linewidth=2.5, **look)
+            axis.plot(shown, np.full(shown.size, height), "o", alpha=0.45, markersize=4, **look)
+            axis.plot(2 * [np.median(shown)], [height - 0.32, height + 0.32], linewidth=2.5, **look)
     axis.set_yticks(range(len(names)), names)
     axis.set_ylim(len(names) - 0.5, -0.5)
-    axis.set_xlabel(one.label)
+    axis.set_xlabel(shown_as.label)
     axis.label_outer()

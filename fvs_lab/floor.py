@@ -37,8 +37,8 @@ class Limits:
     def least_s(self, travel_rad: np.ndarray, end_rad_s: np.ndarray) -> float:
         """Least time from rest until all joints have made a travel and have a speed, s."""
         top, steep = self.speed_rad_s, self.acceleration_rad_s2
-        way = np.where(travel_rad < end_rad_s * np.abs(end_rad_s) / (2.0 * steep), -1.0, 1.0)
-        travel, end = way * travel_rad, way * end_rad_s
+        sign = np.where(travel_rad < end_rad_s * np.abs(end_rad_s) / (2.0 * steep), -1.0, 1.0)
+        travel, end = sign * travel_rad, sign * end_rad_s
         # Up to a peak and down to the end; a peak above the limit is cut off.
         peak = np.sqrt(np.maximum(0.5 * end**2 + steep * travel, 0.0))
         cut = np.maximum(peak - top, 0.0)
@@ -127,7 +127,7 @@ def fastest(
         over_speeds = (ways * over_speed)[:, None] * np.vstack([speeds, speeds])
         return np.outer(over_time, unit[0]) + over_speeds - ways_rad
 
-    found = minimize(
+    solution = minimize(
         lambda unknown: unknown[0],
         np.concatenate([[rest_s], travel, np.zeros((1 + PIECES) * joints)]),
         jac=lambda _: unit[0],
@@ -144,11 +144,11 @@ def fastest(
         method="SLSQP",
         options={"maxiter": 2000, "ftol": 1e-7},
     ).x
-    if near["fun"](found).min() < -0.02:  # outside by a hundredth of the tolerance
+    if near["fun"](solution).min() < -0.02:  # outside by a hundredth of the tolerance
         raise RuntimeError(f"no fastest motion found for case {case.name}")
-    end = speeds @ found
-    least_s = limits.least_s(travels @ found, end)
-    return Fastest(least_s, travels @ found, end, pieces @ found, piece_s)
+    end = speeds @ solution
+    least_s = limits.least_s(travels @ solution, end)
+    return Fastest(least_s, travels @ solution, end, pieces @ solution, piece_s)
 
 
 def _near(

@@ -83,15 +83,15 @@ def _lacks(program: str, needs: Sequence[str], extras: str) -> bool:
 @console.reader_may_leave()
 def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_experiments``; returns the exit code."""
-    given = sys.argv[1:] if argv is None else argv
-    if given[:1] == ["replay"]:
+    argv = sys.argv[1:] if argv is None else argv
+    if argv[:1] == ["replay"]:
         if _lacks("fvs_experiments replay", ("rosbags", "matplotlib"), "record,lab"):
             return EXIT_BAD_INPUT
         from fvs_lab.replay import main as replay
 
-        return replay(given[1:])
+        return replay(argv[1:])
     parser = _parser()
-    arguments = parser.parse_args(given)
+    arguments = parser.parse_args(argv)
     if arguments.name not in LONG and arguments.scheme:
         parser.error(f"--scheme is for {' and '.join(LONG)}")
     if arguments.name == "replay":

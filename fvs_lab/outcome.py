@@ -69,7 +69,7 @@ def outcome_of(
     and the last target, m, (m,), in the camera frame; errors of the Jacobian of every
     ``JACOBIAN_EVERY``-th tick. ``record`` keeps the time series.
     """
-    speeds = np.array([one.velocity_rad_s for one in commands])
+    speeds = np.array([command.velocity_rad_s for command in commands])
     settled_s, fine_s = (
         float("inf") if (time_s := settling_time_s(times_s, errors_m, bound)) is None else time_s
         for bound in (SETTLED_ERROR_M, FINE_ERROR_M)
@@ -79,15 +79,18 @@ def outcome_of(
     serving = commands[-1].state is State.SERVOING
     series = {}
     if record:
-        exponents = [None if one.output is None else one.output.exponent for one in commands]
-        known = [one for one in exponents if one is not None]
-        unknown = np.full_like(known[0] if known else np.empty(0), np.nan)
+        outputs = [command.output for command in commands]
+        exponents = [None if output is None else output.exponent for output in outputs]
+        known = next((exponent for exponent in exponents if exponent is not None), np.empty(0))
+        unknown = np.full_like(known, np.nan)
         series = {
             "time_s": times_s,
             "ball_m": features_m,
             "error_m": errors_m,
             "command_rad_s": speeds,
-            "exponent": np.array([unknown if one is None else one for one in exponents]),
+            "exponent": np.array(
+                [unknown if exponent is None else exponent for exponent in exponents]
+            ),
         }
     return Outcome(
         to_5mm_s=settled_s,
@@ -96,7 +99,9 @@ def outcome_of(
         final_rms_m=float(np.sqrt(np.mean(errors_m[last] ** 2))),
         jitter_rad_s=jitter_rad_s(speeds[last]) if serving else float("inf"),
         peak_joint_speed_rad_s=float(np.abs(speeds).max()),
-        limited_share=float(np.mean([bool(one.active_limit) for one in commands], where=moving)),
+        limited_share=float(
+            np.mean([bool(command.active_limit) for command in commands], where=moving)
+        ),
         jacobian_error=float(np.mean(jacobian_errors[moving[::JACOBIAN_EVERY]])),
         failure="" if np.isfinite(settled_s) else _cause(times_s, errors_m, commands[-1]),
         target_m=tuple(target_m.tolist()),

@@ -49,9 +49,9 @@ def _true_chain(off_deg: float, off_m: float, simulation: Simulation, case: Case
 
     It is off by degrees and m in random directions.
     """
-    axis, way = np.random.default_rng(case.seed).normal(size=(2, 3))
-    turn = rotation_from_vector(np.array(along(axis, np.radians(off_deg))))
-    chain = simulation.true_chain(Pose()).moved(turn, np.array(along(way, off_m)))
+    axis, direction = np.random.default_rng(case.seed).normal(size=(2, 3))
+    rotation = rotation_from_vector(np.array(along(axis, np.radians(off_deg))))
+    chain = simulation.true_chain(Pose()).moved(rotation, np.array(along(direction, off_m)))
     return create_estimator("poe", chain=chain, kind=Pose())
 
 
@@ -67,20 +67,20 @@ def floor_s(case: Case) -> float:
 
 
 def rest(outcome: Outcome) -> dict[str, float]:
-    """Final errors of way, m, and turn, degrees, rms over the last second."""
+    """Final errors of position, m, and angle, degrees, rms over the last second."""
     kind, series, target_m = Pose(), outcome.series, np.array(outcome.target_m)
     last = series["time_s"] > series["time_s"][-1] - FINAL_S
-    parts = kind.parts_m(np.array([kind.minus(one, target_m) for one in series["ball_m"][last]]))
-    way_m, arc_m = (float(np.sqrt(np.mean(one**2))) for one in parts.values())
-    return {"rest_m": way_m, "rest_deg": float(np.degrees(arc_m / kind.lever_arm_m))}
+    parts = kind.parts_m(np.array([kind.minus(pose, target_m) for pose in series["ball_m"][last]]))
+    position_m, arc_m = (float(np.sqrt(np.mean(part**2))) for part in parts.values())
+    return {"rest_m": position_m, "rest_deg": float(np.degrees(arc_m / kind.lever_arm_m))}
 
 
 def at_rest(count: int) -> Iterator[Trial]:
     """Bodies before a camera 1 m away, until they rest."""
     for body, tag in BODIES.items():
-        seen = Conditions(Pose.name, position_noise_m=0.0, camera_distance_m=1.0, tag=tag)
-        cases = make_cases("D", count, 421, 0.05, 0.2, seen)
-        trial = calibrated(0.0, 0.0, seen).changed({"part": "rest", "body": body}, record=True)
+        near = Conditions(Pose.name, position_noise_m=0.0, camera_distance_m=1.0, tag=tag)
+        cases = make_cases("D", count, 421, 0.05, 0.2, near)
+        trial = calibrated(0.0, 0.0, near).changed({"part": "rest", "body": body}, record=True)
         yield from crossed([trial], cases)
 
 
@@ -89,23 +89,23 @@ def moved(cases: Sequence[Case]) -> Iterator[Trial]:
     for case in cases:
         rng = np.random.default_rng(case.seed)
         while True:  # a camera that no longer sees the tag is another matter
-            axis, way = rng.normal(size=(2, 3))
-            bump = Bump(-0.4, along(axis, 20.0), along(way, 0.1))
+            axis, direction = rng.normal(size=(2, 3))
+            bump = Bump(-0.4, along(axis, 20.0), along(direction, 0.1))
             if sees_all(EXACT, (case.start_rad, case.goal_rad), bump):
                 break
-        one = who.variant("best", EXACT, part="moved").changed(record=True, bump=bump)
-        yield from crossed([one], [case])
+        best = who.variant("best", EXACT, part="moved").changed(record=True, bump=bump)
+        yield from crossed([best], [case])
 
 
 def measure(context: lab.Context) -> Results:
     """Run every scheme with an exact camera, some with images, and calibrated cameras."""
     cases = make_cases("P", context.count(60), 420, conditions=Conditions(Pose.name))
     floors_s = context.map(floor_s, cases, "the floor")
-    floors = dict(zip([one.name for one in cases], floors_s, strict=True))
+    floors = dict(zip([case.name for case in cases], floors_s, strict=True))
     schemes = (*SEEN, *(name for name in who.CONTESTANTS if name not in SEEN))
     variants = [
         who.variant(name, conditions, camera=camera)
-        for name in context.some(schemes, 2)
+        for name in context.first(schemes, 2)
         for camera, conditions in (("exact", EXACT), ("images", IMAGES))
         if camera == "exact" or name in SEEN
     ]
@@ -114,9 +114,9 @@ def measure(context: lab.Context) -> Results:
         ("calibrated, 1° and 5 mm off", 1.0, 0.005),
         ("calibrated, 5° and 2 cm off", 5.0, 0.02),
     ):
-        one = calibrated(off_deg, off_m, EXACT)
-        variants.append(one.changed({"camera": "exact", "scheme": name}))
-    labelled = [one.changed({"part": "schemes"}, record=True) for one in variants]
+        camera = calibrated(off_deg, off_m, EXACT)
+        variants.append(camera.changed({"camera": "exact", "scheme": name}))
+    labelled = [trial.changed({"part": "schemes"}, record=True) for trial in variants]
     runs = context.run(crossed(labelled, cases), "poses", rest).adding(
         lambda row: {"over_5mm": row["to_5mm_s"] / floors[row["case"]]}
     )
@@ -132,19 +132,19 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
     """The chain's speed over the floor, its rest, and what a moved camera costs."""
     schemes = runs.where(part="schemes")
     best = schemes.where(scheme="best")
-    for seen, group in best.groups("camera").items():
+    for camera, group in best.groups("camera").items():
         part = lab.below("time over the floor", group.median("over_5mm"), 1.15)
-        yield lab.ours("fast", part, camera=seen)
+        yield lab.ours("fast", part, camera=camera)
     plate = runs.where(part="rest", body="plate of 4 x 75 mm")
     for name, group, rest_m in (
         ("rest", best.where(camera="images"), 0.0005),
         ("body", plate, 0.0003),
     ):
         if group:
-            way = lab.below("final way", group.median("rest_m"), rest_m, 1e3, " mm")
-            yield lab.ours(name, way, lab.below("turn", group.median("rest_deg"), 0.1))
+            position = lab.below("final position", group.median("rest_m"), rest_m, 1e3, " mm")
+            yield lab.ours(name, position, lab.below("angle", group.median("rest_deg"), 0.1))
     slower = runs.where(part="moved").values("over_undisturbed")
-    yield lab.ours("moved", lab.kept("runs", [one <= 1.3 for one in slower], 0.95))
+    yield lab.ours("moved", lab.kept("runs", [ratio <= 1.3 for ratio in slower], 0.95))
     parts = [
         lab.kept(f"targets reached by {name}", group.values("settled"), 0.98)
         for name, group in schemes.where(camera="exact").groups("scheme").items()

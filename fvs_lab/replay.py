@@ -127,21 +127,21 @@ def read(path: Path, namespace: str | None = None) -> Recording:
             topics.CONTROLLER_STATUS: "status",
         }
         ours = [
-            (name.removesuffix(topic.name).strip("/"), one, key)
-            for name, one in zip(names, reader.connections, strict=True)
+            (name.removesuffix(topic.name).strip("/"), connection, key)
+            for name, connection in zip(names, reader.connections, strict=True)
             for topic, key in keys.items()
-            if name.endswith(f"/{topic.name}") and one.msgtype == topic.type
+            if name.endswith(f"/{topic.name}") and connection.msgtype == topic.type
         ]
         robots = sorted({robot for robot, _, _ in ours})
         if namespace is not None:
-            robots = [one for one in robots if one == namespace.strip("/")]
+            robots = [robot for robot in robots if robot == namespace.strip("/")]
         if len(robots) > 1:
-            listed = ", ".join(f"'/{one}'" for one in robots)
+            listed = ", ".join(f"'/{robot}'" for robot in robots)
             raise BagError(f"it holds several robots, name one by --namespace: {listed}")
-        own = {(one.topic, one.msgtype): key for robot, one, key in ours if robot in robots}
-        chosen = [one for robot, one, _ in ours if robot in robots]
+        own = {(item.topic, item.msgtype): key for robot, item, key in ours if robot in robots}
+        chosen = [item for robot, item, _ in ours if robot in robots]
         arrivals_s, statuses = list[float](), list[Status]()
-        found: dict[str, list[tuple[float, np.ndarray]]] = {}
+        rows_of: dict[str, list[tuple[float, np.ndarray]]] = {}
         for connection, time_ns, raw in reader.messages(chosen):
             message = reader.deserialize(raw, connection.msgtype)
             key, arrival_s = own[connection.topic, connection.msgtype], time_ns * 1e-9
@@ -151,7 +151,7 @@ def read(path: Path, namespace: str | None = None) -> Recording:
             else:
                 with suppress(ValueError):  # the nodes refuse it, too
                     numbers = _numbers(message, kind, joint_map)
-                    found.setdefault(key, []).append((_time_s(arrival_s, message), numbers))
+                    rows_of.setdefault(key, []).append((_time_s(arrival_s, message), numbers))
         if not arrivals_s:
             wanted, held = ", ".join(topic.name for topic in keys), ", ".join(names)
             raise BagError(f"it holds none of {wanted}; it has {held or 'no messages'}")
@@ -160,7 +160,7 @@ def read(path: Path, namespace: str | None = None) -> Recording:
             cut_off=reader.cut_off,
             start_s=arrivals_s[0],
             end_s=arrivals_s[-1],
-            series={key: _series(rows) for key, rows in found.items()},
+            series={key: _series(rows) for key, rows in rows_of.items()},
             statuses=statuses,
         )
 
@@ -196,7 +196,7 @@ def _numbers(message: Any, kind: Kind, joint_map: JointMap) -> np.ndarray:
 def _series(rows: list[tuple[float, np.ndarray]]) -> Series:
     """The messages with as many numbers as the first, in the order of their times."""
     size = rows[0][1].size
-    alike = sorted((one for one in rows if one[1].size == size), key=lambda one: one[0])
+    alike = sorted((row for row in rows if row[1].size == size), key=lambda row: row[0])
     time_s, values = zip(*alike, strict=True)
     return Series(np.array(time_s), np.array(values))
 
@@ -212,28 +212,31 @@ def _status(arrival_s: float, message: Any) -> Status:
 
 def targets(recording: Recording) -> list[Target]:
     """Score every target that the controller took, by the true feature where the bag has it."""
-    given = recording.series.get("target")
-    if given is None:
+    messages = recording.series.get("target")
+    if messages is None:
         return []
-    changed = np.append(True, np.diff(given.values, axis=0).any(axis=1))
-    given = Series(given.time_s[changed], given.values[changed])
-    steps_m = [recording.kind.minus(z, before) for before, z in pairwise(given.values)]
-    steps = zip(steps_m, np.diff(given.time_s), strict=True)
+    changed = np.append(True, np.diff(messages.values, axis=0).any(axis=1))
+    series = Series(messages.time_s[changed], messages.values[changed])
+    steps_m = [recording.kind.minus(z, before) for before, z in pairwise(series.values)]
+    steps = zip(steps_m, np.diff(series.time_s), strict=True)
     starts = [0, *(i for i, step in enumerate(steps, 1) if not continues(*step))]
-    runs = [Series(given.time_s[i:j], given.values[i:j]) for i, j in pairwise([*starts, None])]
-    found = []
+    runs = [Series(series.time_s[i:j], series.values[i:j]) for i, j in pairwise([*starts, None])]
+    judged = []
     end_s = next_s = inf
     for run in reversed(runs):
         start_s = run.time_s[0]
-        statuses = [one for one in recording.statuses if start_s <= one.time_s < end_s]
-        later = [one for one in statuses if start_s + _SHOWN_S <= one.time_s < next_s]
-        shown = [_shows(one, run) for one in later if one.target_m is not None]
+        statuses = [status for status in recording.statuses if start_s <= status.time_s < end_s]
+        shown = [
+            _shows(status, run)
+            for status in statuses
+            if start_s + _SHOWN_S <= status.time_s < next_s and status.target_m is not None
+        ]
         next_s = start_s
         if shown and not any(shown):
             continue  # the controller refused it
-        found.append(_judged(recording, run, statuses, end_s))
+        judged.append(_judged(recording, run, statuses, end_s))
         end_s = start_s
-    return found[::-1]
+    return judged[::-1]
 
 
 def _shows(status: Status, run: Series) -> bool:
@@ -247,16 +250,16 @@ def _judged(recording: Recording, run: Series, statuses: Sequence[Status], end_s
     """Judge a target until the next one, or until the arm is stopped or the target left."""
     kind, series, start_s = recording.kind, recording.series, run.time_s[0]
     begun, reason = False, ""
-    for one in statuses:
-        started = one.state in _STARTED and one.reason != Reason.SHUT_DOWN.name
-        if begun and not (started and _shows(one, run)):
-            end_s = one.time_s
+    for status in statuses:
+        started = status.state in _STARTED and status.reason != Reason.SHUT_DOWN.name
+        if begun and not (started and _shows(status, run)):
+            end_s = status.time_s
             break
-        begun, reason = begun or (started and _shows(one, run)), one.reason
-    seen = series.get("true") or series.get("seen") or _NOTHING
-    time_s, seen_m = seen.between(start_s, end_s)
+        begun, reason = begun or (started and _shows(status, run)), status.reason
+    features = series.get("true") or series.get("seen") or _NOTHING
+    time_s, features_m = features.between(start_s, end_s)
     wanted_m = run.values[np.searchsorted(run.time_s, time_s, side="right") - 1]
-    errors_m = np.array(list(map(kind.minus, seen_m, wanted_m)))
+    errors_m = np.array(list(map(kind.minus, features_m, wanted_m)))
     if not time_s.size:
         time_s, errors_m = np.array([start_s]), np.full((1, kind.size), np.nan)
     speeds_rad_s = series.get("joints", _NOTHING).between(start_s, end_s).values
@@ -269,18 +272,18 @@ def _judged(recording: Recording, run: Series, statuses: Sequence[Status], end_s
 # ---- table and figure -----------------------------------------------------------------------
 
 
-def write_table(path: Path, recording: Recording, found: Sequence[Target]) -> None:
+def write_table(path: Path, recording: Recording, judged: Sequence[Target]) -> None:
     """Write a line per target as CSV, in SI units; a settling time is empty if never reached."""
     with path.open("w", newline="", encoding="utf-8") as file:
         names = ["target", "set_s", *TargetScore.__dataclass_fields__, "reason"]
         writer = csv.DictWriter(file, names)
         writer.writeheader()
-        for number, one in enumerate(found, start=1):
-            when = {"target": number, "set_s": one.set_s - recording.start_s}
-            writer.writerow({**when, **asdict(one.score), "reason": one.reason})
+        for number, target in enumerate(judged, start=1):
+            when = {"target": number, "set_s": target.set_s - recording.start_s}
+            writer.writerow({**when, **asdict(target.score), "reason": target.reason})
 
 
-def draw(path: Path, recording: Recording, found: Sequence[Target]) -> None:
+def draw(path: Path, recording: Recording, judged: Sequence[Target]) -> None:
     """Draw errors and commands over time into a PNG file, and the controller's states as bands."""
     start_s = recording.start_s
     figure, axes = grid(2, 1, (12, 7), sharex=True)
@@ -290,10 +293,10 @@ def draw(path: Path, recording: Recording, found: Sequence[Target]) -> None:
         for axis in (error, command):
             axis.axvspan(begin_s - start_s, end_s - start_s, label=state, **look)
         if state in (State.HOLDING.name, State.FAULT.name):
-            place = error.get_xaxis_transform()
-            error.text(begin_s - start_s, 0.02, reason, rotation=90, size=8, transform=place)
-    for number, one in enumerate(found, start=1):
-        time_s, error_mm = one.time_s - start_s, np.maximum(1e3 * one.errors_m, 0.01)
+            foot = error.get_xaxis_transform()
+            error.text(begin_s - start_s, 0.02, reason, rotation=90, size=8, transform=foot)
+    for number, target in enumerate(judged, start=1):
+        time_s, error_mm = target.time_s - start_s, np.maximum(1e3 * target.errors_m, 0.01)
         error.plot(time_s, error_mm, color="black", linewidth=1.1)
         error.annotate(str(number), (time_s[0], error_mm[0]))
     bound_line(error, 1e3 * SETTLED_ERROR_M)
@@ -311,14 +314,15 @@ def draw(path: Path, recording: Recording, found: Sequence[Target]) -> None:
 
 def _bands(recording: Recording) -> list[tuple[str, str, float, float]]:
     """State, reason, start and end, s, of equal statuses in a row; none while it was silent."""
-    found: list[tuple[str, str, float, float]] = []
-    ends_s = [*(one.time_s for one in recording.statuses[1:]), recording.end_s]
-    for one, next_s in zip(recording.statuses, ends_s, strict=False):
-        end_s, start_s = min(next_s, one.time_s + SILENT_S), one.time_s
-        if found and found[-1][:2] == (one.state, one.reason) and found[-1][3] == start_s:
-            start_s = found.pop()[2]
-        found.append((one.state, one.reason, start_s, end_s))
-    return found
+    bands: list[tuple[str, str, float, float]] = []
+    ends_s = [*(status.time_s for status in recording.statuses[1:]), recording.end_s]
+    for status, next_s in zip(recording.statuses, ends_s, strict=False):
+        label, start_s = (status.state, status.reason), status.time_s
+        end_s = min(next_s, start_s + SILENT_S)
+        if bands and bands[-1][:2] == label and bands[-1][3] == start_s:
+            start_s = bands.pop()[2]
+        bands.append((*label, start_s, end_s))
+    return bands
 
 
 # ---- the program ----------------------------------------------------------------------------
@@ -338,17 +342,19 @@ def main(argv: list[str]) -> int:
         recording = read(arguments.bag, arguments.namespace)
     except ValueError as error:
         return _refuse(str(error))
-    found = targets(recording)
+    judged = targets(recording)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_table(out / "targets.csv", recording, found)
-        draw(out / "replay.png", recording, found)
+        write_table(out / "targets.csv", recording, judged)
+        draw(out / "replay.png", recording, judged)
     except OSError as error:
         return _refuse(f"cannot write to {out}: {error.strerror}; name another folder by --out")
     if recording.cut_off:
         print("The bag was cut off: the end of the run, with the final stop, is missing.")
-    notes = [f"set at {one.set_s - recording.start_s:.1f} s, {one.reason}" for one in found]
-    print(table([one.score for one in found], notes))
+    notes = [
+        f"set at {target.set_s - recording.start_s:.1f} s, {target.reason}" for target in judged
+    ]
+    print(table([target.score for target in judged], notes))
     print(f"figure: {out / 'replay.png'}")
     return EXIT_OK
 

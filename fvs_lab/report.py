@@ -45,7 +45,7 @@ class Words:
     def paragraphs(self, macro: str) -> list[str]:
         """The text of a macro, a line for each paragraph."""
         text = getattr(self._macros, macro)().strip()
-        return [" ".join(one.split()) for one in re.split(r"\n\s*\n", text)]
+        return [" ".join(part.split()) for part in re.split(r"\n\s*\n", text)]
 
 
 def _template(name: str):
@@ -81,9 +81,9 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [_plain(entry) for entry in value]
     if isinstance(value, float):
         return float(f"{value:.7g}") if np.isfinite(value) else None
     return value

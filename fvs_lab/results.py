@@ -26,7 +26,7 @@ class Interval:
 
     def text(self, digits: int = 2, factor: float = 1.0) -> str:
         """``0.62 [0.58, 0.71]``, in another unit by a factor."""
-        ends = (number_text(factor * one, digits) for one in (self.value, self.low, self.high))
+        ends = (number_text(factor * end, digits) for end in (self.value, self.low, self.high))
         return "{} [{}, {}]".format(*ends)
 
     def above(self, bound: float) -> bool | None:
@@ -111,7 +111,7 @@ class Results:
 
     def where(self, **values: Any) -> Results:
         """The rows with these values."""
-        return self.those(lambda row: all(row.get(name) == one for name, one in values.items()))
+        return self.those(lambda row: all(row.get(name) == value for name, value in values.items()))
 
     def those(self, wanted: Callable[[Mapping[str, Any]], bool]) -> Results:
         """The rows that meet a condition."""
@@ -185,11 +185,11 @@ METRICS = {
     "jacobian_error": Metric("Jacobian error, %", 1e2, 1),
     "learned": Metric("Jacobian error, %", 1e2, 3),
     "pace": Metric("own pace"),
-    "rest_m": Metric("final way, mm", 1e3),
-    "rest_deg": Metric("final turn, °", 1.0, 3),
+    "rest_m": Metric("final position, mm", 1e3),
+    "rest_deg": Metric("final angle, °", 1.0, 3),
     "rms_m": Metric("distance from the target, mm rms", 1e3),
-    "place_m": Metric("place, mm", 1e3),
-    "turn_deg": Metric("turn, °", 1.0, 3),
+    "position_m": Metric("position, mm", 1e3),
+    "angle_deg": Metric("angle, °", 1.0, 3),
     "bound_s": Metric("corrected bound, s"),
     "printed_s": Metric("printed bound, s"),
     "within": Metric("within the corrected"),
@@ -245,7 +245,7 @@ def table(
     values = [*runs.groups(across)] if across else [None]
     for key, group in runs.groups(*by).items():
         keys = key if len(by) > 1 else (key,)
-        row = {label_of(name): number_text(one) for name, one in zip(by, keys, strict=True)}
+        row = {label_of(name): number_text(value) for name, value in zip(by, keys, strict=True)}
         for value, column in product(values, columns):
             name, _, how = column.partition(":")
             header = label_of(name) + (f", {how}" if how in ("90 %", "largest") else "")

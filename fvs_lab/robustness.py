@@ -53,22 +53,22 @@ class Worlds:
         rng = np.random.default_rng([self.seed, number])
         amount = {name: float(rng.uniform(*range_)) for name, range_ in self.ranges.items()}
         bumped, heavy = rng.random() < self.bumped_share, rng.random() < self.heavy_share
-        names = {one.name for one in fields(Conditions)}
-        changes: dict[str, Any] = {name: one for name, one in amount.items() if name in names}
+        names = {item.name for item in fields(Conditions)}
+        changes: dict[str, Any] = {name: amount[name] for name in amount if name in names}
         if not heavy:
             changes["noise_exponent"] = Conditions.noise_exponent
         while True:
             seed = int(rng.integers(2**31))
             plain = Conditions(self.feature)
             case = make_cases(f"R{number}-", 1, seed, *self.distance_m, plain)[0]
-            vectors = ("camera_turn_deg", "bump_turn_deg", "bump_shift_m")
-            turn_deg, *blow = (along(rng.normal(size=3), amount[name]) for name in vectors)
+            vectors = ("camera_rotation_deg", "bump_rotation_deg", "bump_shift_m")
+            rotation_deg, *blow = (along(rng.normal(size=3), amount[name]) for name in vectors)
             bump = Bump(amount["bump_time_s"], *blow) if bumped else None
-            seen = Conditions(self.feature, camera_turn_deg=turn_deg)
-            if sees_all(seen, (case.start_rad, case.goal_rad), bump):
+            turned = Conditions(self.feature, camera_rotation_deg=rotation_deg)
+            if sees_all(turned, (case.start_rad, case.goal_rad), bump):
                 # Images would change little, and take three times as long.
-                changes |= {"camera_turn_deg": turn_deg, "rendered": False}
-                world = replace(seen, **changes)
+                changes |= {"camera_rotation_deg": rotation_deg, "rendered": False}
+                world = replace(turned, **changes)
                 labels = {"world": number, "case": case.name}
                 return Trial(
                     conditions=world,
@@ -84,8 +84,8 @@ HARSH = Worlds(
     "robustness",
     304,
     {
-        "camera_turn_deg": (0.0, 30.0),
-        "bump_turn_deg": (0.0, 10.0),
+        "camera_rotation_deg": (0.0, 30.0),
+        "bump_rotation_deg": (0.0, 10.0),
         "bump_shift_m": (0.0, 0.1),
         "bump_time_s": (0.3, 2.0),
         "position_noise_m": (0.0002, 0.002),
@@ -128,12 +128,12 @@ def schemes_called(names: Sequence[str]) -> list[Scheme]:
     for name in names:
         if name not in COMPARED:
             raise ValueError(unknown("scheme", name, map(repr, COMPARED)))
-    return [one for name, one in COMPARED.items() if not names or name in names]
+    return [COMPARED[name] for name in COMPARED if not names or name in names]
 
 
 def trials_in(world: Trial, schemes: Sequence[Scheme]) -> list[Trial]:
     """The trials of schemes in a world."""
-    return [replace(world.changed({"scheme": one.name}), scheme=one) for one in schemes]
+    return [replace(world.changed({"scheme": scheme.name}), scheme=scheme) for scheme in schemes]
 
 
 def judged(row: Mapping[str, Any], duration_s: float) -> dict[str, Any]:

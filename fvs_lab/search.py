@@ -96,7 +96,7 @@ class Search:
 
     def variant(self, positions: np.ndarray) -> Trial:
         """The scheme with gains at positions from 0 to 1 of their ranges."""
-        gains = {gain.name: gain.value(one) for gain, one in zip(self.free, positions, strict=True)}
+        gains = {gain.name: gain.value(at) for gain, at in zip(self.free, positions, strict=True)}
         estimators = {name: value for name, value in gains.items() if "." in name}
         laws = {name: value for name, value in gains.items() if "." not in name}
         return Trial.of(self.scheme, EXACT, duration_s=self.terms.duration_s).changed(
@@ -119,12 +119,12 @@ class Search:
         costs two seconds, more than any gain can save.
         """
         times_s, duration_s = [], self.terms.duration_s
-        for one in outcomes:
-            left = min(1.0, one.final_rms_m / one.start_distance_m)
-            coarse_s = duration_s * (1.0 + left) if one.failure else one.to_5mm_s
-            times_s.append(0.9 * coarse_s + 0.1 * min(duration_s, one.to_2mm_s))
+        for run in outcomes:
+            left = min(1.0, run.final_rms_m / run.start_distance_m)
+            coarse_s = duration_s * (1.0 + left) if run.failure else run.to_5mm_s
+            times_s.append(0.9 * coarse_s + 0.1 * min(duration_s, run.to_2mm_s))
         quantity, most = self.terms.limit
-        middle = float(np.median([getattr(one, quantity, 0.0) for one in outcomes]))
+        middle = float(np.median([getattr(run, quantity, 0.0) for run in outcomes]))
         return sum(times_s) / len(times_s) + 20.0 * max(0.0, middle / most - 1.0)
 
 
@@ -146,13 +146,13 @@ def search_all(
             sigma=0.3,
             bounds=np.tile([0.0, 1.0], (len(search.free), 1)),
             population_size=population,
-            seed=seed + place,
+            seed=seed + index,
         )
-        for place, (search, _) in enumerate(numbered)
+        for index, (search, _) in enumerate(numbered)
     ]
     best: list[tuple[float, np.ndarray]] = [(inf, np.empty(0))] * len(numbered)
     for generation in range(generations):
-        asked = [[one.ask() for _ in range(population)] for one in optimisers]
+        asked = [[optimiser.ask() for _ in range(population)] for optimiser in optimisers]
         trials = [
             trial
             for (search, _), candidates in zip(numbered, asked, strict=True)
@@ -161,13 +161,13 @@ def search_all(
         ]
         label = f"search, round {generation + 1} of {generations}"
         outcomes = iter(context.outcomes(trials, label))
-        for place, candidates in enumerate(asked):
-            costs = [numbered[place][0].cost([next(outcomes) for _ in cases]) for _ in candidates]
+        for index, candidates in enumerate(asked):
+            costs = [numbered[index][0].cost([next(outcomes) for _ in cases]) for _ in candidates]
             judged = list(zip(candidates, costs, strict=True))
-            optimisers[place].tell(judged)
-            positions, cost = min(judged, key=lambda one: one[1])
-            if cost < best[place][0]:
-                best[place] = cost, positions
+            optimisers[index].tell(judged)
+            positions, cost = min(judged, key=lambda pair: pair[1])
+            if cost < best[index][0]:
+                best[index] = cost, positions
     return [
         search.variant(positions).changed({"search": number})
         for (search, number), (_, positions) in zip(numbered, best, strict=True)

@@ -95,7 +95,7 @@ class Conditions:
     physics_rate_hz: float = 500.0
     #: Rotation vector, camera frame, degrees, by which the camera has been carried round the scene
     #: since the networks were trained; it still looks at the scene.
-    camera_turn_deg: Vector = (0.0, 0.0, 0.0)
+    camera_rotation_deg: Vector = (0.0, 0.0, 0.0)
     #: From the middle of the scene, m; 0 for that of the front camera.
     camera_distance_m: float = 0.0
     #: The tag, or the body of tags, where the feature is a pose.
@@ -103,18 +103,20 @@ class Conditions:
 
     def sim_config(self) -> SimConfig:
         """The simulation of these conditions."""
-        alike = {one.name for one in fields(self)} & {one.name for one in fields(SimConfig)}
+        alike = {item.name for item in fields(self)} & {item.name for item in fields(SimConfig)}
         return SimConfig(
             **{name: getattr(self, name) for name in alike},
             speed_scaling_percent=100.0 * self.drive_gain,
-            camera_pose=_carried_camera(np.radians(self.camera_turn_deg), self.camera_distance_m),
+            camera_pose=_carried_camera(
+                np.radians(self.camera_rotation_deg), self.camera_distance_m
+            ),
         )
 
 
-def _carried_camera(turn_rad: np.ndarray, distance_m: float) -> CameraPose:
+def _carried_camera(rotation_rad: np.ndarray, distance_m: float) -> CameraPose:
     """The front camera, carried round the scene by a rotation vector in its own frame, rad.
 
-    The Jacobian turns with it. The ball stays in view; a rotation by 30 degrees on the spot would
+    The Jacobian rotates with it. The ball stays in view; a rotation by 30 degrees on the spot would
     lose it. With a distance it is also carried so far from the scene's middle, m.
     """
     camera = CAMERAS["front"]
@@ -122,7 +124,7 @@ def _carried_camera(turn_rad: np.ndarray, distance_m: float) -> CameraPose:
     away_m = camera.position_m - scene_m
     if distance_m:
         away_m *= distance_m / np.linalg.norm(away_m)
-    local = rotation_from_vector(turn_rad)
+    local = rotation_from_vector(rotation_rad)
     rotation = camera.rotation @ local
     return CameraPose(scene_m + rotation @ camera.rotation.T @ away_m, rotation)
 
@@ -287,7 +289,7 @@ def sees_all(
 def _sees(simulation: Simulation) -> bool:
     """Whether the camera sees enough of it, three times in a row."""
     looks = (simulation.look().detection for _ in range(3))
-    return all(seen is not None and seen.visible_fraction >= 0.9 for seen in looks)
+    return all(ball is not None and ball.visible_fraction >= 0.9 for ball in looks)
 
 
 def make_cases(

@@ -32,7 +32,7 @@ def variant(knob: str, value: float) -> Trial:
     """A value of a knob, and of what goes with it."""
     trial = Trial(record=True).changed({"parameter": knob, "value": value})
     if knob == "rbf.n1":
-        turned = {"camera_turn_deg": (45.0, 0.0, 0.0)}
+        turned = {"camera_rotation_deg": (45.0, 0.0, 0.0)}
         return trial.changed(estimator={knob: value}, conditions=turned)
     goes_with = {
         "max_joint_velocity_rad_s": {"max_joint_acceleration_rad_s2": 6.0 * value},
@@ -43,7 +43,7 @@ def variant(knob: str, value: float) -> Trial:
 
 def measure(context: lab.Context) -> Results:
     """Turn one knob after the other, in the same cases."""
-    variants = [variant(knob, value) for knob in context.some(KNOBS, 2) for value in KNOBS[knob]]
+    variants = [variant(knob, value) for knob in context.first(KNOBS, 2) for value in KNOBS[knob]]
     cases = make_cases("U", context.count(12), 501)
     return context.run(crossed(variants, cases), "tuning")
 
