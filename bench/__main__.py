@@ -25,10 +25,10 @@ def main(arguments: list[str]) -> int:
         (i for i, one in enumerate(arguments) if one[0] == "-" or "/" in one), len(arguments)
     )
     wanted, options = arguments[:own], arguments[own:]
-    if options and len(wanted) != 1:
-        print(f"{options[0]} stands behind the name of one measurement", file=sys.stderr)
-        return 2
     known = names()
+    if options and len(wanted) != 1:
+        print(f"name one measurement before {options[0]}: {', '.join(known)}", file=sys.stderr)
+        return 2
     for name in wanted:
         if name not in known:
             print(unknown("measurement", name, known), file=sys.stderr)

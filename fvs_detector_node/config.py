@@ -19,7 +19,7 @@ class DetectorConfig(CameraTopicsConfig):
 
     feature: str = parameter(
         KindConfig.feature,
-        "ball, or pose: of a tag, from the colour image; depth is not needed, but helps",
+        "ball, or pose of a tag from the colour image; depth is optional for a tag",
         choices=tuple(KINDS),
     )
     compressed_images: bool = parameter(

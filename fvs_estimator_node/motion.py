@@ -34,7 +34,7 @@ class MotionConfig(JointLimits):
         If values do not fit together.
     """
 
-    duration_s: float = parameter(120.0, "largest duration of motion and recording", 2.0, 7200.0)
+    duration_s: float = parameter(120.0, "duration of motion and recording", 2.0, 7200.0)
     joint_range_rad: tuple[float, ...] = parameter(
         (0.5,),
         "half width of the box of motion about the joints at the start, rad (m)",

@@ -33,14 +33,16 @@ def _parser() -> argparse.ArgumentParser:
         __doc__,
         {
             "experiments": EXPERIMENTS,
-            "instead of an experiment": {"replay BAG": "look at a recording"},
+            "instead of an experiment": {
+                "replay BAG": "table and figure of a recording; replay --help lists its arguments"
+            },
         },
     )
     parser.add_argument(
         "name",
         metavar="EXPERIMENT",
         type=one_of("experiment", (*EXPERIMENTS, "all", "replay")),
-        help=f"which experiment; all is without {', '.join(LONG)}, which takes long",
+        help=f"one of those below; all leaves out {', '.join(LONG)}, which take long",
     )
     parser.add_argument(
         "--seeds",
@@ -53,14 +55,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--out", type=Path, default=Path("out/experiments"), help="folder (default: %(default)s)"
     )
-    parser.add_argument(
-        "--quick", action="store_true", help="run a small part of everything, as a smoke test"
-    )
+    parser.add_argument("--quick", action="store_true", help="run a small part, as a smoke test")
     parser.add_argument(
         "--scheme",
         action="append",
         default=[],
-        help=f"only this scheme, of {', '.join(LONG)} (repeatable; default: all)",
+        help=f"{', '.join(LONG)}: only this scheme (repeatable; default: all)",
     )
     return parser
 

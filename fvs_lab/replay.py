@@ -335,7 +335,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--out", type=Path, help="folder of the results (default: out/replay/ and the bag's name)"
     )
-    parser.add_argument("--namespace", help="of the nodes, where the bag holds several robots")
+    parser.add_argument("--namespace", help="namespace of the nodes, if the bag holds several")
     arguments = parser.parse_args(argv)
     out = arguments.out or Path("out/replay") / arguments.bag.resolve().name
     try:

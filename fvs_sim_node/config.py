@@ -45,7 +45,7 @@ class SimConfig(CommandInterface):
     )
     initial_joints_rad: tuple[float, ...] = parameter(
         (),
-        "joints at start and after ~/reset; empty: where the ball moves most readily every way",
+        "joints at start and after ~/reset; empty: a well-conditioned pose",
         -6.3,
         6.3,
     )
@@ -75,7 +75,7 @@ class SimConfig(CommandInterface):
     position_noise_m: float = parameter(
         0.0,
         "further white noise on each coordinate of a position (standard deviation), m; on a pose's "
-        "turning as much at 0.3 m",
+        "rotation as much at a radius of 0.3 m",
         0.0,
         0.1,
     )
@@ -143,7 +143,7 @@ class SimNodeConfig(FeatureConfig):
 
     simulated_time: bool = parameter(
         False,
-        "publish /clock, run as fast as possible and wait for the responses to joint states; the "
+        "publish /clock, run as fast as possible and wait for the answers to joint states; the "
         "other nodes then need use_sim_time",
     )
     tf_prefix: str = parameter("", "prefix of the joint names, like a UR driver's")

@@ -205,7 +205,6 @@ def _parser() -> argparse.ArgumentParser:
         {
             "scenarios": scenario_names(),
             "schemes": {one.name: one.description for one in (*SCHEMES.values(), *BEYOND.values())},
-            "nodes": dict.fromkeys(NODE_TABLE, "its --help lists its parameters"),
         },
     )
     parser.add_argument("scenario", help="a scenario YAML file, or the name of one in config/")
@@ -215,13 +214,14 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="[NODE:]NAME:=VALUE",
-        help="override a parameter (repeatable), of one node or of every node that has it",
+        help="set a parameter of one node, or of all that have it (repeatable); a node's --help, "
+        "such as fvs_sim_node --help, lists its parameters",
     )
     parser.add_argument(
         "--scheme",
         default="",
         metavar="NAME",
-        help="named pair of estimator method and control law; -p overrides it",
+        help="use the estimator method and the control law of a scheme; -p overrides them",
     )
     parser.add_argument("--namespace", default="", help="ROS namespace of all nodes")
     parser.add_argument(

@@ -35,9 +35,14 @@ SCHEMES = _by_name(
         "proposed",
         "rbf",
         "ftsm",
-        "Networks that learn by (17), sliding mode law (16) with the adaptive exponent (29).",
+        "The paper's: networks that learn by (17), sliding mode law (16), adaptive exponent (29).",
     ),
-    Scheme("rbf+pid", "rbf", "proportional", "Networks that learn by (45), proportional law (46)."),
+    Scheme(
+        "rbf+pid",
+        "rbf",
+        "proportional",
+        "The paper's baseline: networks that learn by (45), proportional law (46).",
+    ),
     Scheme("ukf+mfac", "ukf", "mfac", "Unscented Kalman filter, model free adaptive law (48)."),
     Scheme("ukf+mpc", "ukf", "mpc", "Unscented Kalman filter, model predictive law (49)."),
 )
@@ -48,7 +53,7 @@ BEYOND = _by_name(
         "extended",
         "rbf_left",
         "ftsm",
-        "The paper's networks with camera rotation correction, its law straight to the target, "
+        "The paper's networks with camera rotation correction; its law with a straight path and "
         "least joint speeds.",
         controller_values={"redundancy_resolution": "least_speed", "ftsm_path": "straight"},
     ),
@@ -56,7 +61,7 @@ BEYOND = _by_name(
         "best",
         "poe",
         "minimum_time",
-        "A serial chain fitted to a minute of motion, least largest joint travel at the limits.",
+        "A serial chain fitted to a minute of motion, minimum-time law.",
     ),
 )
 

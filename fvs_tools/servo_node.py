@@ -1,6 +1,6 @@
 """``fvs_servo_node``: estimator and controller of one arm, or of several, in one process.
 
-Name a namespace for each of several arms; without one it is a single arm.
+Name a namespace for each of several arms; a single arm needs none.
 """
 
 from __future__ import annotations

@@ -96,15 +96,18 @@ def draw(tag: Tag, path: Path) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser, usual = Parser("fvs_tag", __doc__), Tag()
     parser.add_argument(
-        "-o", "--output", type=Path, default=Path("tag.pdf"), help="PDF or PNG file"
+        "-o", "--output", type=Path, default=Path("tag.pdf"), help="PDF or PNG file to write"
     )
-    parser.add_argument("--dictionary", default=usual.tag_dictionary, help="family of the tag")
-    parser.add_argument("--id", type=int, default=usual.tag_id, help="number of the first tag")
+    default = "(default %(default)s)"
     parser.add_argument(
-        "--layout", default=usual.tag_layout, help="single, plate (2 x 2) or cube (five sides)"
+        "--dictionary", default=usual.tag_dictionary, help=f"family of the tag {default}"
+    )
+    parser.add_argument("--id", type=int, default=usual.tag_id, help=f"its number {default}")
+    parser.add_argument(
+        "--layout", default=usual.tag_layout, help=f"single, plate (2 x 2) or cube {default}"
     )
     parser.add_argument(
-        "--size-m", type=float, default=usual.tag_size_m, help="side of a black square, m"
+        "--size-m", type=float, default=usual.tag_size_m, help=f"side of its square, m {default}"
     )
     return parser
 

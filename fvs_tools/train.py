@@ -1,4 +1,4 @@
-"""``fvs_train``: train the Jacobian networks from a data set of the collector."""
+"""``fvs_train``: fit a model of the Jacobian to a data set of the collector, or to a table."""
 
 from __future__ import annotations
 
@@ -88,15 +88,15 @@ def _parser() -> argparse.ArgumentParser:
         "--method",
         type=one_of("method", tuple(METHODS)),
         default=defaults.method,
-        help="varpro also moves the neurons; ridge solves for the weights only, in about a second; "
-        "poe fits a serial chain, from which the networks are distilled: "
-        "a minute of motion is enough (default %(default)s)",
+        help="poe fits a serial chain, and the networks to it: a minute of motion is enough; "
+        "varpro trains networks, with centres and widths; ridge only their weights, in a second "
+        "(default %(default)s)",
     )
     parser.add_argument(
         "--neurons",
         type=int,
         default=None,
-        help=f"per network (default {METHODS['varpro']}, with poe {METHODS['poe']})",
+        help=f"neurons of a network (default {METHODS['varpro']}, with poe {METHODS['poe']})",
     )
     parser.add_argument(
         "--seed", type=int, default=defaults.seed, help="equal seeds give equal models (default 0)"

@@ -77,12 +77,13 @@ def _help(doc: str, parameters: Iterable[Parameter], takes: str) -> str:
     name = doc.split("`")[2]
     texts = {}
     for parameter in parameters:
-        when = ", also while it runs" if parameter.live else ""
+        when = "; also while it runs" if parameter.live else ""
         default = f"{parameter.name}:={json.dumps(parameter.default)}"
-        texts[default] = f"{parameter.description.rstrip('.')} ({parameter.expected()}{when})"
+        what = parameter.description[:1].upper() + parameter.description[1:].rstrip(".")
+        texts[default] = f"{what} ({parameter.expected()}{when})"
     usage = " ".join(filter(None, (name, takes, "--ros-args")))
     return (
-        f"{doc.replace('`', '')}\n\n"
+        f"{doc.strip().replace('`', '')}\n\n"
         f"usage: {usage} [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]\n\n"
         f"{listing('parameters and their defaults', texts)}"
     )
