@@ -25,6 +25,7 @@ from fvs_ros.kinds import KINDS, Kind, kind_of
 from fvs_ros.status import SILENT_S, vector
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_ros.vectors import plausible
+from fvs_tools.bag import TYPES
 from fvs_tools.bag_reader import BagError, open_bag
 from fvs_tools.demo import table
 from fvs_tools.scenario import read_yaml
@@ -102,7 +103,7 @@ class Target(NamedTuple):
 
 
 def read(path: Path, namespace: str | None = None) -> Recording:
-    """Read a bag: the folder of a rosbag2 (MCAP or SQLite), its one file, or a bag of ROS 1.
+    """Read a bag: the folder of a rosbag2 (MCAP or SQLite), or its one file.
 
     The namespace is that of the nodes; it is needed where the bag holds several robots. A
     ``ValueError`` says why a bag cannot be used.
@@ -143,7 +144,7 @@ def read(path: Path, namespace: str | None = None) -> Recording:
         arrivals_s, statuses = list[float](), list[Status]()
         rows_of: dict[str, list[tuple[float, np.ndarray]]] = {}
         for connection, time_ns, raw in reader.messages(chosen):
-            message = reader.deserialize(raw, connection.msgtype)
+            message = TYPES.deserialize_cdr(raw, connection.msgtype)
             key, arrival_s = own[connection.topic, connection.msgtype], time_ns * 1e-9
             arrivals_s.append(arrival_s)
             if key == "status":

@@ -18,7 +18,8 @@ from fvs_ros.ros import from_camera_info, from_feature, from_stamp
 from fvs_ros.ros.images import from_color
 from fvs_ros.timeline import History, Sample, Timeline
 from fvs_ros.topics import JOINT_STATES
-from fvs_tools.bag_reader import BagReader, open_bag
+from fvs_tools.bag import TYPES
+from fvs_tools.bag_reader import open_bag
 from fvs_tools.overlay import Photograph
 
 #: Kinds by the type of their message.
@@ -56,7 +57,7 @@ def read_data_set(
         feature = _topic(types, seen, [*_KINDS], [topic.name for topic in tools])
         wanted = [one for one in reader.connections if one.topic in (joints, feature)]
         messages = [
-            (connection.topic == joints, reader.deserialize(raw, connection.msgtype))
+            (connection.topic == joints, TYPES.deserialize_cdr(raw, connection.msgtype))
             for connection, _, raw in reader.messages(wanted)
         ]
         notes = ["the bag was cut off, or a part of it is missing"] * reader.cut_off
@@ -71,20 +72,17 @@ def read_photograph(path: Path, frame: str) -> Photograph | None:
             info = of.get(image.topic.rsplit("/", 1)[0] + "/camera_info")
             if image.msgtype != _IMAGE or info is None:
                 continue
-            photo, camera = (_middle(reader, one) for one in (image, info))
-            if photo is None or camera is None or photo.header.frame_id != frame:
+            raw, raw_info = reader.middle(image), reader.middle(info)
+            if raw is None or raw_info is None:
+                continue
+            photo: Any = TYPES.deserialize_cdr(raw, image.msgtype)
+            camera: Any = TYPES.deserialize_cdr(raw_info, info.msgtype)
+            if photo.header.frame_id != frame:
                 continue
             with suppress(ValueError):  # a depth image, or a lens that is not known
                 return Photograph.of(
                     from_color(photo), from_camera_info(camera), from_stamp(photo.header.stamp)
                 )
-    return None
-
-
-def _middle(reader: BagReader, connection: Any) -> Any:
-    """A message of a topic from the middle of the bag; None if there is none."""
-    for _, _, raw in reader.messages([connection], reader.middle_ns):
-        return reader.deserialize(raw, connection.msgtype)
     return None
 
 

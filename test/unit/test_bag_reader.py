@@ -12,10 +12,8 @@ pytest.importorskip("mcap")
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from replayed_bags import file_in, servo, write_bag
-from rosbags.rosbag1 import Writer as Rosbag1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2.storage_mcap import zstd
-from rosbags.typesys import Stores, get_typestore
 
 from fvs_tools.bag_reader import BagError, open_bag
 
@@ -91,25 +89,6 @@ def packed_by_message(folder, whole):
     return path
 
 
-def with_a_log(folder, whole):
-    """SQLite whose newest messages a killed recorder left in the log beside it."""
-    path, copy = made(folder, StoragePlugin.SQLITE3) / "bag.db3", folder / "copy"
-    copy.mkdir()
-    database = sqlite3.connect(path)
-    database.execute("PRAGMA journal_mode=WAL")
-    (last,) = database.execute("SELECT max(timestamp) FROM messages").fetchone()
-    rows = database.execute("SELECT * FROM messages WHERE timestamp > ?", [last - 10**9]).fetchall()
-    database.execute("DELETE FROM messages WHERE timestamp > ?", [last - 10**9])
-    database.commit()
-    database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", rows)
-    database.commit()
-    for one in folder.glob("bag.db3*"):
-        shutil.copy(one, copy)
-    database.close()
-    return copy
-
-
 KINDS = {
     "a file packed": lambda folder, whole: packed(folder),
     "a file packed, no metadata": lambda folder, whole: without_metadata(packed(folder)),
@@ -118,7 +97,6 @@ KINDS = {
     "no metadata": lambda folder, whole: without_metadata(made(folder)),
     "metadata cut off": lambda folder, whole: cut_metadata(made(folder)),
     "named by its metadata": lambda folder, whole: made(folder) / "metadata.yaml",
-    "a log beside it": with_a_log,
     "no schemas in the summary": lambda folder, whole: by_another(
         folder, whole, repeat_schemas=False, repeat_channels=False
     ),
@@ -144,17 +122,6 @@ def test_a_file_that_ends_within_a_chunk_is_read_up_to_there(tmp_path, whole):
     begun = content(path, cut_off=True)
     assert 0.2 * len(whole) < len(begun) < 0.8 * len(whole)
     assert begun == whole[: len(begun)]
-
-
-def test_a_bag_of_ros_1_is_read(tmp_path):
-    store, kind = get_typestore(Stores.ROS1_NOETIC), "geometry_msgs/msg/Point"
-    with Rosbag1(tmp_path / "a.bag") as bag:
-        topic = bag.add_connection("/point", kind, typestore=store)
-        bag.write(topic, 10**9, store.serialize_ros1(store.types[kind](0.0, 0.0, 1.0), kind))
-    with open_bag(tmp_path / "a.bag") as reader:
-        ((connection, time_ns, raw),) = reader.messages()
-        assert (connection.topic, time_ns) == ("/point", 10**9)
-        assert reader.deserialize(raw, connection.msgtype).z == 1.0
 
 
 def test_a_file_that_is_broken_within_is_said_to_be_cut_off(tmp_path, whole):

@@ -212,21 +212,12 @@ def test_a_file_that_ends_anywhere_is_read_up_to_there(tmp_path, capsys, tail):
             read(file)
 
 
-def damaged(folder):
-    file = file_in(write_bag(folder, servo()))
-    content = bytearray(file.read_bytes())
-    middle = len(content) // 2
-    content[middle : middle + 3000] = b"\xff" * 3000
-    file.write_bytes(content)
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
         (lambda folder: None, "there is no"),
         (Path.mkdir, "neither metadata.yaml nor an .mcap file"),
         (lambda folder: folder.write_text("not a bag"), "cannot read"),
-        (damaged, "it is damaged"),
         (lambda folder: write_bag(folder, []), "no messages"),
         (lambda folder: write_bag(folder, [], scenario=["of another tool"]), "damaged"),
     ],
