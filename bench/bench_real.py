@@ -110,7 +110,7 @@ def jazzy(folder):
     detector = TagDetector(DetectorConfig(feature="pose", tag=tag))
     for number, frame in enumerate(frames):
         image = cv2.cvtColor(cv2.imread(str(folder / frame["image"])), cv2.COLOR_BGR2RGB)
-        found = detector.look(float(number), image, None, model).found
+        found = detector.look(float(number), image, None, model).detection
         if found is not None:
             place, turn = (list(one.values()) for one in frame["base_to_tcp"].values())
             hands.append(np.linalg.inv(matrices(place, Rotation.from_quat(turn))))

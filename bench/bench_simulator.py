@@ -28,8 +28,8 @@ def main():
             simulation.command(amplitude * rate * np.cos(rate * k / rate_hz))
             for seen in simulation.advance().observations:
                 images += 1
-                if seen.detection is not None:
-                    errors.append(np.linalg.norm(seen.detection.position_m - seen.true_position_m))
+                if seen.z is not None:
+                    errors.append(np.linalg.norm(seen.z - seen.true_position_m))
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     rms_mm = 1e3 * np.sqrt(np.mean(np.square(errors)))
     print("physics at 500 Hz, joint states at 125 Hz, VGA images rendered and detected at 30 Hz")

@@ -19,7 +19,7 @@ class DetectorConfig(CameraTopicsConfig):
 
     feature: str = parameter(
         KindConfig.feature,
-        "ball, or pose of a tag from the colour image; depth is optional for a tag",
+        "ball, or pose of a tag from the colour image alone",
         choices=tuple(KINDS),
     )
     compressed_images: bool = parameter(
@@ -39,13 +39,6 @@ class DetectorConfig(CameraTopicsConfig):
         "quality below which a ball is not published; 1: a fully visible, perfect sphere",
         0.0,
         1.0,
-        live=True,
-    )
-    max_ball_speed_m_s: float = parameter(
-        3.0,
-        "a position that implies a higher speed is accepted only when seen three times in a row",
-        0.01,
-        100.0,
         live=True,
     )
     stamp_delay_s: float = parameter(

@@ -8,9 +8,8 @@ searched again in layers of depth, because it may merge the ball with another ob
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -54,36 +53,27 @@ class BallDetection:
 
     rotation: ClassVar[np.ndarray] = np.eye(3)  # a ball has none
 
-    def draw(
-        self, picture: np.ndarray, camera: Intrinsics, colour: tuple[int, int, int], thick: int
-    ) -> str:
+    def box(self, camera: Intrinsics) -> Region:
+        """The part of a camera's image that shows the ball."""
+        centre_px = camera.project(self.position_m)
+        return Region.around(np.array([centre_px - self.radius_px, centre_px + self.radius_px]))
+
+    def draw(self, picture: np.ndarray, camera: Intrinsics, style: dict[str, Any]) -> str:
         """Draw the ball; returns its numbers in words."""
         # Subpixel coordinates (sixteenths): the drawing moves smoothly.
         centre = np.round(16.0 * camera.project(self.position_m)).astype(int).tolist()
-        cv2.circle(picture, centre, round(16 * self.radius_px), colour, thick, cv2.LINE_AA, 4)
-        cv2.circle(picture, centre, 16 * thick, colour, cv2.FILLED, cv2.LINE_AA, 4)
+        cv2.circle(picture, centre, round(16 * self.radius_px), **style)
         x, y, z = self.position_m
         seen = f"quality {self.quality:.2f}  visible {self.visible_fraction:.0%}  "
         return f"{seen}x {x:+.3f} y {y:+.3f} z {z:.3f} m"
 
 
-class Cause(enum.IntEnum):
-    """Why no ball is seen; of several objects, the one with the largest cause is most ball-like."""
-
-    OUT_OF_VIEW = 1
-    OFF_COLOUR = 2
-    NO_DEPTH = 3
-    OTHER_THING = 4
-
-
 @dataclass(frozen=True)
 class Miss:
-    """Why no ball is seen, or why an object of its colour is rejected."""
+    """Why an object of the ball's colour is not the ball."""
 
-    cause: Cause
-    text: str  # one sentence with what to do about it
-    box: Region | None = None  # around the thing
-    pixels: int = 0  # of the thing
+    reason: str  # one sentence with what to do about it
+    box: Region  # around the object
 
 
 def detect_ball(
@@ -92,8 +82,8 @@ def detect_ball(
     camera: Intrinsics,
     radius_m: float,
     colour: BallColour | None = None,
-) -> BallDetection | None:
-    """Find the ball.
+) -> tuple[BallDetection | None, Miss | None]:
+    """Find the ball, or else the largest object of its colour.
 
     Parameters
     ----------
@@ -110,25 +100,16 @@ def detect_ball(
 
     Returns
     -------
-    BallDetection or None
+    ball : BallDetection or None
         None if no ball is seen, or less than a quarter of it.
+    miss : Miss or None
+        Why the largest object of its colour is not the ball, if there is one.
 
     Raises
     ------
     ValueError
         If the sizes of images and intrinsics differ.
     """
-    return examine(rgb, depth_m, camera, radius_m, colour)[0]
-
-
-def examine(
-    rgb: np.ndarray,
-    depth_m: np.ndarray,
-    camera: Intrinsics,
-    radius_m: float,
-    colour: BallColour | None = None,
-) -> tuple[BallDetection | None, list[Miss]]:
-    """Find the ball as :func:`detect_ball`, and the other objects of its colour, largest first."""
     size = (camera.height, camera.width)
     if rgb.shape != (*size, 3) or depth_m.shape != size:
         raise ValueError(
@@ -136,27 +117,28 @@ def examine(
             f"{rgb.shape} and the depth image {depth_m.shape}"
         )
     scene = _Scene(colour_mask(rgb, colour or BallColour()), depth_m, camera, radius_m)
-    found: list[BallDetection] = []
-    others: list[Miss] = []
+    balls: list[BallDetection] = []
+    miss: Miss | None = None
     for blob in _blobs(scene.mask):
-        seen = _evaluate(blob, scene)
-        parts = [seen] if isinstance(seen, BallDetection) else _split_by_depth(blob, scene)
-        found += parts
-        if not parts and isinstance(seen, Miss):
-            others.append(seen)
-    return max(found, key=lambda ball: ball.quality, default=None), others
+        result = _evaluate(blob, scene)
+        if isinstance(result, Miss):
+            balls += _split_by_depth(blob, scene)
+            miss = miss or result
+        else:
+            balls.append(result)
+    return max(balls, key=lambda ball: ball.quality, default=None), miss
 
 
 def colour_mask(rgb: np.ndarray, colour: BallColour) -> np.ndarray:
     """Mask of the pixels with the ball's colour, uint8 0 or 255, shape (H, W)."""
     hsv = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV)
     least = (colour.min_saturation, colour.min_value)
-    low, high = colour.hue - colour.hue_width, colour.hue + colour.hue_width
-    mask = cv2.inRange(hsv, (max(low, 0), *least), (min(high, 179), 255, 255))
-    for turn in (-180, 180):  # hues are a circle
-        if low + turn <= 179 and high + turn >= 0:
-            ends = (max(low + turn, 0), *least), (min(high + turn, 179), 255, 255)
-            mask = cv2.bitwise_or(mask, cv2.inRange(hsv, *ends))
+    mask = np.zeros(hsv.shape[:2], np.uint8)
+    for wrap in (-180, 0, 180):  # hues are a circle
+        low = max(colour.hue - colour.hue_width + wrap, 0)
+        high = min(colour.hue + colour.hue_width + wrap, 179)
+        if low <= high:
+            mask |= cv2.inRange(hsv, (low, *least), (high, 255, 255))
     return mask
 
 
@@ -239,7 +221,7 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
     box, camera, radius_m = blob.box, scene.camera, scene.radius_m
     if np.count_nonzero(known) < ACCEPT.pixels:
         text = "the ball's colour is there, but no depth: too near, too far or reflective?"
-        return Miss(Cause.NO_DEPTH, text, box, blob.pixels)
+        return Miss(text, box)
     # First guess of the distance: half of a disc lies within 0.7 r of its middle.
     middle_px = np.array([box.u0 + 0.5 * (box.width - 1), box.v0 + 0.5 * (box.height - 1)])
     middle = unit(camera.rays(*middle_px))
@@ -247,12 +229,10 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
     expected_px = _outline_area_px(middle, distance_m, radius_m, camera)
     share = blob.pixels / expected_px
     other = Miss(
-        Cause.OTHER_THING,
         f"an object of the ball's colour, {distance_m:.2f} m away, is as large as a ball of "
         f"{1e3 * radius_m * np.sqrt(share):.0f} mm radius, not a ball of {1e3 * radius_m:.0f} mm: "
         "check ball_radius_m, uncover the ball, align depth to colour (align_depth.enable:=true)",
         box,
-        blob.pixels,
     )
     nearest_m = ACCEPT.nearest_radii * radius_m
     if distance_m < nearest_m or not ACCEPT.least_area < share < ACCEPT.most_area:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+from fvs_detector_node.ball_detector import BallDetector
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detector import BallDetector
+from fvs_detector_node.detector import Detector
 from fvs_detector_node.tag_detector import TagDetector
 
-DETECTORS: dict[str, type[BallDetector | TagDetector]] = {
-    "ball": BallDetector,
-    "pose": TagDetector,
-}
+DETECTORS: dict[str, type[Detector]] = {"ball": BallDetector, "pose": TagDetector}
 
 
-def make_detector(config: DetectorConfig) -> BallDetector | TagDetector:
+def make_detector(config: DetectorConfig) -> Detector:
     """The detector of the configured kind of feature; a ``ValueError`` if there is none."""
     if config.feature not in DETECTORS:
         raise ValueError(f"no detector finds {config.feature}; there are {', '.join(DETECTORS)}")

@@ -8,7 +8,8 @@ stop.listen()
 
 import sys
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from functools import partial
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -18,9 +19,9 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from fvs_detector_node.config import PARAMETERS, CameraTopics, DetectorConfig
-from fvs_detector_node.detector import Sighting, annotate
 from fvs_detector_node.detectors import make_detector
 from fvs_detector_node.pairing import Pair, Pairing
+from fvs_detector_node.sighting import Sighting, annotate
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
 from fvs_ros.kinds import kind_of
@@ -28,11 +29,11 @@ from fvs_ros.ros.images import from_color, from_depth
 from fvs_ros.ros.inputs import ArrivalMonitor
 from fvs_ros.topics import CAMERA_PREFIXES
 
-T = TypeVar("T")
-
 WAITING, TRACKING, LOST, FAULT = "WAITING", "TRACKING", "LOST", "FAULT"
 #: Time without messages after which an input is missing, s; the slowest cameras have 5 Hz.
 _MISSING_S = 1.0
+#: Largest difference of a pair's stamps, s: a little less than half the period at 30 Hz.
+_TOLERANCE_S = 0.015
 
 
 class _Picture(NamedTuple):
@@ -51,10 +52,7 @@ class DetectorNode(ros.FvsNode):
         self._config = DetectorConfig.from_values(self.values)
         self._kind = kind_of(self._config.feature)
         self._detector = make_detector(self._config)
-        self._needs_depth = self._detector.needs_depth
-        # A little less than half the period of 30 images a second; without need, more than one.
-        self._pairing = Pairing(0.015 if self._needs_depth else 0.05, self._needs_depth)
-        self._restarts = 0
+        self._pairing = Pairing(_TOLERANCE_S, self._detector.needs_depth)
         self._camera: CameraModel | None = None
         self._sighting: Sighting | None = None
         self._pairs, self._published = ArrivalMonitor(), ArrivalMonitor()
@@ -78,9 +76,9 @@ class DetectorNode(ros.FvsNode):
         """Search the usual prefixes if none is set and the present one has no publisher."""
         if not self._config.camera_topics and not self._publishers_of(self._topics.color):
             for prefix in CAMERA_PREFIXES:
-                found = CameraTopics.below(prefix, self._config.compressed_images)
-                if self._publishers_of(found.color):
-                    self._topics, self._camera = found, None
+                names = CameraTopics.below(prefix, self._config.compressed_images)
+                if self._publishers_of(names.color):
+                    self._topics, self._camera = names, None
         self._subscribe()
 
     def _publishers_of(self, topic: str) -> list[TopicEndpointInfo]:
@@ -90,11 +88,13 @@ class DetectorNode(ros.FvsNode):
         """Subscribe with a QoS that matches the publishers; again when topics or QoS change."""
         names = self._topics
         image = CompressedImage if self._config.compressed_images else Image
-        wanted = {
-            names.color: (image, self._on_color, self._image_qos(names.color)),
-            names.depth: (image, self._on_depth, self._image_qos(names.depth)),
+        wanted: dict[str, tuple[type, Callable[[Any], None], QoSProfile]] = {
             names.info: (CameraInfo, self._on_camera_info, ros.QOS_NEWEST),
+            names.color: (image, partial(self._on_image, "colour"), self._image_qos(names.color)),
         }
+        if self._detector.needs_depth:
+            on_depth = partial(self._on_image, "depth")
+            wanted[names.depth] = image, on_depth, self._image_qos(names.depth)
         for topic, (subscription, qos) in list(self._subscribed.items()):
             if topic not in wanted or wanted[topic][2] is not qos:
                 self.destroy_subscription(subscription)
@@ -109,60 +109,34 @@ class DetectorNode(ros.FvsNode):
         best_effort = ReliabilityPolicy.BEST_EFFORT in offered
         return ros.QOS_NEWEST if best_effort else ros.QOS_RELIABLE
 
-    def _decoded(self, topic: str, decode: Callable[[Any], T], message: Any) -> T | None:
-        """Decode a message; None, and a logged problem, if it cannot be used."""
+    def _on_camera_info(self, message: CameraInfo) -> None:
         try:
-            return decode(message)
+            self._camera = ros.from_camera_info(message)
+        except ros.MessageError as error:
+            self._complain(self._topics.info, str(error))
+
+    def _on_image(self, name: str, message: Any) -> None:
+        topic, decode = {
+            "colour": (self._topics.color, from_color),
+            "depth": (self._topics.depth, from_depth),
+        }[name]
+        try:
+            picture = _Picture(message.header, decode(message))
         except ros.MessageError as error:
             self._complain(topic, str(error))
-            return None
-
-    def _on_camera_info(self, message: CameraInfo) -> None:
-        camera = self._decoded(self._topics.info, ros.from_camera_info, message)
-        self._camera = camera or self._camera
-
-    def _on_color(self, message: Any) -> None:
-        self._add("colour", message, self._decoded(self._topics.color, from_color, message))
-
-    def _on_depth(self, message: Any) -> None:
-        self._add("depth", message, self._decoded(self._topics.depth, from_depth, message))
-
-    def _add(self, kind: str, message: Any, pixels: np.ndarray | None) -> None:
-        if pixels is not None:
-            header = message.header
-            pair = self._pairing.add(kind, ros.from_stamp(header.stamp), _Picture(header, pixels))
-            self._take(pair)
+            return
+        pair = self._pairing.add(name, ros.from_stamp(message.header.stamp), picture)
+        if pair is not None:
+            self._pairs.arrived(self.now_s())
+            self._look(pair)
 
     # --- from a pair of images to a position ---
 
-    def _take(self, pair: Pair | None) -> None:
-        if self._pairing.restarts != self._restarts:
-            self._restarts = self._pairing.restarts
-            self._detector.reset()
-            self.get_logger().warning("the stamps of the images went back: starting anew")
-        if pair is None:
-            return
+    def _look(self, pair: Pair) -> None:
         start_s = self.steady_s()
-        self._pairs.arrived(self.now_s())
         self._sighting = None
         camera = self._camera
-        if camera is None:
-            return
-        differs = _unregistered(pair)
-        if differs and not self._needs_depth:
-            pair, differs = pair._replace(depth=None), ""
-        size = pair.colour.pixels.shape[:2]
-        calibrated = (camera.intrinsics.height, camera.intrinsics.width)
-        if calibrated != size:
-            words = f"is for {_px(calibrated)} pixels, but the colour images have {_px(size)}"
-            self._complain(self._topics.info, words)
-            return
-        if differs:
-            self._complain(
-                self._topics.depth,
-                f"depth is not registered to colour: {differs}; start the camera with "
-                "align_depth.enable:=true, and take the aligned topic",
-            )
+        if camera is None or not self._consistent(pair, camera):
             return
         rgb, depth_m = pair.colour.pixels, pair.depth and pair.depth.pixels
         try:
@@ -177,15 +151,38 @@ class DetectorNode(ros.FvsNode):
         self._sighting = sighting
         self._processing_ms = 1e3 * (self.steady_s() - start_s)
 
+    def _consistent(self, pair: Pair, camera: CameraModel) -> bool:
+        """Whether calibration and depth are of the colour image."""
+        header, view = pair.colour.header, camera.intrinsics
+        size, calibrated = pair.colour.pixels.shape[:2], (view.height, view.width)
+        if calibrated != size:
+            words = f"is for {_px(calibrated)} pixels, but the colour images have {_px(size)}"
+            self._complain(self._topics.info, words)
+            return False
+        differs = ""
+        if pair.depth is not None:
+            depth_size, frame = pair.depth.pixels.shape, pair.depth.header.frame_id
+            if depth_size != size:
+                differs = f"{_px(depth_size)} pixels against {_px(size)}"
+            elif frame != header.frame_id:
+                differs = f"frame {frame[:60]!r} against {header.frame_id[:60]!r}"
+        if differs:
+            self._complain(
+                self._topics.depth,
+                f"depth is not registered to colour: {differs}; start the camera with "
+                "align_depth.enable:=true, and take the aligned topic",
+            )
+        return not differs
+
     # --- outputs ---
 
     def _publish(self, pair: Pair, sighting: Sighting) -> None:
-        found, frame = sighting.found, pair.colour.header.frame_id
-        if found is None or sighting.problem:
+        seen = sighting.accepted
+        if seen is None:
             return
         exposed_s = pair.stamp_s - self._config.stamp_delay_s
-        z = self._kind.of_body(found.position_m, found.rotation)
-        message = ros.to_feature(exposed_s, frame, self._kind, z)
+        z = self._kind.of_body(seen.position_m, seen.rotation)
+        message = ros.to_feature(exposed_s, pair.colour.header.frame_id, self._kind, z)
         if exposed_s == pair.stamp_s:
             message.header.stamp = pair.colour.header.stamp  # to the nanosecond, as it came
         self._feature.publish(message)
@@ -213,7 +210,7 @@ class DetectorNode(ros.FvsNode):
     def _missing_input(self, now_s: float) -> str:
         """Which subscribed topic is silent, and what to check; empty if none is."""
         wanted = [("colour images", self._topics.color, "check the camera and camera_topics")]
-        if self._needs_depth:
+        if self._detector.needs_depth:
             wanted.append(("depth images", self._topics.depth, "set align_depth.enable:=true"))
         if self._camera is None:
             wanted.append(("camera_info", self._topics.info, "is it remapped as well?"))
@@ -258,43 +255,24 @@ class DetectorNode(ros.FvsNode):
         if state != self._logged and now_s - self._logged_s > 3.0:
             self._logged, self._logged_s = state, now_s
             self.tell(level, f"{state}: {reason}")
-        found = self._sighting.found if self._sighting is not None else None
+        seen = self._sighting and self._sighting.detection
+        rate_hz = self._published.report(now_s)["rate_hz"]
         self.publish_status(
             level,
             state,
             reason,
             {
-                **{key: getattr(found, key, None) for key in self._detector.measured},
+                **{key: getattr(seen, key, None) for key in self._detector.measured},
                 "latency_s": self._latency_s,
-                "color_rate_hz": _rate_hz(self.monitor(self._topics.color), now_s),
-                "paired_rate_hz": _rate_hz(self._pairs, now_s),
-                "published_rate_hz": _rate_hz(self._published, now_s),
+                "published_rate_hz": rate_hz if state == TRACKING else 0.0,
                 "offset_s": self._pairing.offset_s,
-                "refused_by_gate": self._detector.gate.refused,
                 "processing_ms": self._processing_ms,
             },
         )
 
 
-def _unregistered(pair: Pair) -> str:
-    """In what a depth image differs from its colour image; empty if in nothing."""
-    if pair.depth is None:
-        return ""
-    size, frame = pair.colour.pixels.shape[:2], pair.colour.header.frame_id
-    depth_size, depth_frame = pair.depth.pixels.shape, pair.depth.header.frame_id
-    if depth_size != size:
-        return f"{_px(depth_size)} pixels against {_px(size)}"
-    if depth_frame != frame:
-        return f"frame {depth_frame[:60]!r} against {frame[:60]!r}"
-    return ""
-
-
 def _px(size: tuple[int, ...]) -> str:
     return f"{size[1]}x{size[0]}"
-
-
-def _rate_hz(monitor: ArrivalMonitor, now_s: float) -> float:
-    return monitor.report(now_s)["rate_hz"] if monitor.age_s(now_s) < _MISSING_S else 0.0
 
 
 def main() -> int:

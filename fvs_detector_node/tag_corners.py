@@ -65,10 +65,6 @@ class Corners:
     px: np.ndarray  # (4, 2)
     covariance_px2: np.ndarray  # of u and v of the first, of the second, ...: (8, 8)
 
-    def moved(self, u_px: float, v_px: float) -> Corners:
-        """The same corners in an image that begins further left and further up."""
-        return Corners(self.px + (u_px, v_px), self.covariance_px2)
-
 
 class TagReader:
     """Finds the tags of one body in grey images."""

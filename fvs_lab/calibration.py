@@ -12,7 +12,6 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from fvs_detector_node.tag_pose import TagPose
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.collecting import CollectorConfig
 from fvs_estimator_node.files import DataSet
@@ -119,10 +118,10 @@ def by_solvers(seed: int) -> list[dict[str, Any]]:
     while len(joints) < TAUGHT:
         drawn = HOME_RAD + rng.uniform(-1.0, 1.0, HOME_RAD.size) * BOX_RAD
         simulation.reset(drawn, seed)
-        board = simulation.look().detection
-        if isinstance(board, TagPose):
+        z = simulation.look().z
+        if z is not None:
             joints.append(drawn)
-            boards.append((board.rotation, board.position_m))
+            boards.append((Pose().rotation(z), z[:3]))
     rows = []
     for size_deg in ZEROS_DEG:
         zeros = zeros_rad(seed, size_deg)

@@ -288,8 +288,7 @@ def sees_all(
 
 def _sees(simulation: Simulation) -> bool:
     """Whether the camera sees enough of it, three times in a row."""
-    looks = (simulation.look().detection for _ in range(3))
-    return all(ball is not None and ball.visible_fraction >= 0.9 for ball in looks)
+    return all(simulation.look().visible_fraction >= 0.9 for _ in range(3))
 
 
 def make_cases(
@@ -392,7 +391,7 @@ def give_target(loop: ClosedLoop, goal_rad: Joints) -> np.ndarray:
 
 def jacobian_error(loop: ClosedLoop) -> float:
     """Relative Frobenius error of the Jacobian that the controller uses now."""
-    true = loop.simulation.true_feature_jacobian(loop.simulation.joints_rad, loop.kind)
+    true = loop.simulation.true_jacobian(loop.simulation.joints_rad, loop.kind)
     used = loop.loop.jacobian
     return float("nan") if used is None else float(relative_errors(used, true))
 

@@ -64,6 +64,11 @@ class Intrinsics:
         if self.fx <= 0.0 or self.fy <= 0.0:
             raise ValueError(f"focal lengths must be positive, got fx={self.fx} fy={self.fy}")
 
+    @property
+    def matrix(self) -> np.ndarray:
+        """The camera matrix, (3, 3)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
     def project(self, point_m: np.ndarray) -> np.ndarray:
         """Pixel coordinates of points in the camera frame.
 

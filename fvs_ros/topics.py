@@ -217,7 +217,7 @@ COLOR_IMAGE = Topic(
 DEPTH_IMAGE = Topic(
     "camera/aligned_depth_to_color/image_raw",
     "sensor_msgs/msg/Image",
-    "Depth in the colour image's pixels, 16UC1 in mm (0 is unknown) or 32FC1 in m.",
+    "Depth in the colour image's pixels, 16UC1 in mm (0 is unknown) or 32FC1 in m; for a ball.",
     (SIM,),
     (DETECTOR,),
     also_from=_CAMERA,

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from fvs_detector_node.images import Region
 from fvs_ros.rotations import quaternion_from_rotation
-
-#: Grey level of what is not drawn.
-_PLAIN = 235
 
 
 @dataclass(frozen=True)
@@ -113,56 +107,3 @@ def add_depth_noise(
     lost |= depth < 0.0
     depth[lost] = 0.0
     return depth
-
-
-class Exposure:
-    """Images that are drawn where a detector looks, but only around what it looks for.
-
-    Elsewhere they are plain and without depth: nothing there is looked for, and drawing takes long.
-
-    Parameters
-    ----------
-    draw : callable
-        Takes a region; returns its colours, uint8 (H, W, 3), and depths, m, (H, W).
-    around : Region
-        What is drawn.
-
-    Attributes
-    ----------
-    rgb, depth_m : object
-        As images: ``rgb[rows, columns]`` is a part.
-    """
-
-    rgb: Any
-    depth_m: Any
-
-    def __init__(
-        self, draw: Callable[[Region], tuple[np.ndarray, np.ndarray]], around: Region
-    ) -> None:
-        self._draw, self._around = draw, around
-        self._drawn: dict[Region, tuple[np.ndarray, np.ndarray]] = {}
-        self.rgb, self.depth_m = _Parts(self, 0), _Parts(self, 1)
-
-    def part(self, region: Region) -> tuple[np.ndarray, np.ndarray]:
-        """Colours and depths of a region."""
-        if region not in self._drawn:
-            rgb = np.full((region.height, region.width, 3), _PLAIN, np.uint8)
-            depth_m = np.zeros((region.height, region.width), np.float32)
-            drawn = region.overlap(self._around)
-            if drawn is not None:
-                inside = replace(drawn, u0=drawn.u0 - region.u0, v0=drawn.v0 - region.v0).part
-                rgb[inside], depth_m[inside] = self._draw(drawn)
-            self._drawn[region] = rgb, depth_m
-        return self._drawn[region]
-
-
-class _Parts:
-    """One of an exposure's images."""
-
-    def __init__(self, exposure: Exposure, image: int) -> None:
-        self._exposure, self._image = exposure, image
-
-    def __getitem__(self, part: tuple[slice, slice]) -> np.ndarray:
-        rows, columns = part
-        size = columns.stop - columns.start, rows.stop - rows.start
-        return self._exposure.part(Region(columns.start, rows.start, *size))[self._image]

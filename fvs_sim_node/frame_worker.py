@@ -21,7 +21,7 @@ import numpy as np
 
 from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.simulation import BallObservation, photograph
+from fvs_sim_node.simulation import Observation, photograph
 from fvs_sim_node.world import Renderer, World
 
 
@@ -44,7 +44,7 @@ class FrameWorker:
         theirs.close()
         self._busy = False
 
-    def expose(self, seen: BallObservation, depth_noise: float) -> bool:
+    def expose(self, seen: Observation, depth_noise: float) -> bool:
         """Request a frame; False if it is skipped, because the worker is still busy."""
         if self._busy:
             return False

@@ -24,7 +24,7 @@ from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import PARAMETERS, SimNodeConfig
 from fvs_sim_node.frame_worker import FrameWorker
 from fvs_sim_node.robot import robot_description, robot_of
-from fvs_sim_node.simulation import BallObservation, SimStep, Simulation
+from fvs_sim_node.simulation import Observation, SimStep, Simulation
 
 #: In simulated time, services and parameters are served this often.
 _BURST_S = 0.005
@@ -153,7 +153,7 @@ class SimNode(ros.FvsNode):
             true = self._sim.true_feature()
             self._truth.publish(ros.to_feature(stamp_s, self._frame, self._kind, true))
         if self._true_jacobian.get_subscription_count():
-            jacobian = self._sim.true_feature_jacobian(step.joints_rad)
+            jacobian = self._sim.true_jacobian(step.joints_rad)
             self._true_jacobian.publish(ros.to_jacobian(jacobian, self._kind))
         self._publish_joints(stamp_s, step)
         self._stepped_s = self.steady_s()
@@ -175,7 +175,7 @@ class SimNode(ros.FvsNode):
         message.effort = [0.0] * len(self._names)
         self._joint_states.publish(message)
 
-    def _publish_observation(self, seen: BallObservation) -> None:
+    def _publish_observation(self, seen: Observation) -> None:
         stamp_s = self._base_s + seen.stamp_s
         if self._info.get_subscription_count():
             self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))

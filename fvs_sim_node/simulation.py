@@ -14,16 +14,14 @@ import cv2
 import numpy as np
 
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detection import BallDetection
 from fvs_detector_node.detectors import make_detector
 from fvs_detector_node.images import Region
-from fvs_detector_node.tag_pose import TagPose
 from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.chain import SerialChain
 from fvs_ros.interface import VELOCITY
 from fvs_ros.kinds import Kind, kind_of
 from fvs_sim_node.actuator import Actuator
-from fvs_sim_node.camera import CameraPose, Exposure, Frame, add_depth_noise
+from fvs_sim_node.camera import CameraPose, Frame, add_depth_noise
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.world import Renderer, World
 
@@ -33,13 +31,13 @@ _SEEK_GAIN, _MOST_AWAY_S = 10.0, 0.5
 
 
 @dataclass(frozen=True)
-class BallObservation:
+class Observation:
     """The result of one image; its true values are for evaluation only."""
 
     stamp_s: float  # exposure
-    detection: BallDetection | TagPose | None  # None if nothing was seen
-    z: np.ndarray | None  # what is reported of it, with noise, (m,)
-    true_position_m: np.ndarray  # of ball or tag, camera frame, (3,)
+    z: np.ndarray | None  # what is reported of ball or tag, with noise, (m,); None if not seen
+    visible_fraction: float  # of ball or tag
+    true_position_m: np.ndarray  # of its middle, camera frame, (3,)
     joints_rad: np.ndarray  # at the exposure, (n,)
     velocities_rad_s: np.ndarray  # of the joints then, (n,)
     camera: CameraPose
@@ -54,11 +52,11 @@ class SimStep:
     time_s: float
     joints_rad: np.ndarray  # as the encoders report them
     joint_velocities_rad_s: np.ndarray
-    observations: tuple[BallObservation, ...]  # those that were released during this period
+    observations: tuple[Observation, ...]  # those that were released during this period
 
 
 def photograph(
-    seen: BallObservation,
+    seen: Observation,
     world: World,
     renderer: Renderer,
     rng: np.random.Generator,
@@ -70,7 +68,7 @@ def photograph(
         shape = (camera.height, camera.width)
         return Frame(seen.stamp_s, np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32))
     rgb, depth_m = renderer.render(seen.camera)
-    world.paint_tag(rgb, depth_m, camera, seen.camera, seen.velocities_rad_s, rng)
+    world.paint(rgb, depth_m, camera, seen.camera, seen.velocities_rad_s, rng)
     return Frame(seen.stamp_s, rgb, add_depth_noise(depth_m, camera.fx, rng, depth_noise))
 
 
@@ -115,10 +113,8 @@ class Simulation:
                 feature=config.feature,
                 ball_radius_m=config.ball_radius_m,
                 tag=config.tag,
-                max_ball_speed_m_s=100.0,  # nothing else is red: a jump is a camera that was moved
             )
         )
-        self._seen_from: CameraPose | None = None  # at the last image that was drawn
         self._named: tuple[str, CameraPose] | None = None  # the named camera that is in use
         self.configure(config)
         self.reset()
@@ -187,7 +183,7 @@ class Simulation:
         #: Position commands: the newest, and the one before.
         self._wanted: np.ndarray | None = None
         self._sought: np.ndarray | None = None
-        self._pending: deque[tuple[float, BallObservation]] = deque()
+        self._pending: deque[tuple[float, Observation]] = deque()
         self._detector.reset()
         self._actuator.reset()
         self.world.reset(joints)
@@ -281,18 +277,16 @@ class Simulation:
         if self._loss_rng.random() >= config.dropout:
             self._pending.append((self.time_s + config.latency_s, self.look()))
 
-    def look(self) -> BallObservation:
+    def look(self) -> Observation:
         """Expose an image now; nothing is released for it."""
         config = self.config
         if config.rendered:
             self.world.place_ball()
-        detection, z = self._detect(), None
-        if detection is not None:
-            z = self._blurred(self.kind.of_body(detection.position_m, detection.rotation))
-        seen = BallObservation(
+        z, visible_fraction = self._measured()
+        seen = Observation(
             self.time_s,
-            detection,
             z,
+            visible_fraction,
             self.true_ball_position(),
             self.joints_rad,
             self._velocities,
@@ -304,61 +298,34 @@ class Simulation:
         frame = photograph(seen, self.world, self._renderer, self._frame_rng, config.depth_noise)
         return replace(seen, frame=frame)
 
-    def _detect(self) -> BallDetection | TagPose | None:
-        """Ball or tag in an image now, without ``position_noise_m``."""
-        if self.config.camera_covered:
-            return None
+    def _measured(self) -> tuple[np.ndarray | None, float]:
+        """What is reported of ball or tag now, None if it is not seen, and its visible fraction."""
+        true, camera = self.true_pose(), self.intrinsics
+        body = None if self.config.camera_covered else self.world.carried.part(true, camera)
+        if body is None:
+            return None, 0.0
         if not self.config.rendered:
-            return self._ideal_detection()
-        around = self._around()
-        if around is None:
-            return None
-        if self._seen_from is not self.camera:  # nobody expects it where it was in the image
-            self._seen_from = self.camera
-            self._detector.reset()
-        exposure = Exposure(self._draw, around)
-        camera = CameraModel(self._reported_intrinsics)
-        sighting = self._detector.look(self.time_s, exposure.rgb, exposure.depth_m, camera)
-        return None if sighting.problem else sighting.found
-
-    def _around(self) -> Region | None:
-        """The part of the image with ball or tag, and some way around it; None if out of view."""
-        true, camera, radius_m = self.true_tag_pose(), self.intrinsics, self.config.ball_radius_m
-        if self.world.tag is not None:
-            region = self.world.tag.region(true, camera)
-            return None if region is None else region.grown(region.width // 2 + 16, camera)
-        if true.position_m[2] < 2.0 * radius_m:
-            return None
-        half_px = 2.0 * camera.fx * radius_m / true.position_m[2] + 16.0
-        middle_px = camera.project(true.position_m)
-        edge = np.array([camera.width, camera.height]) - 1.0
-        corners = np.clip([middle_px - half_px, middle_px + half_px], 0.0, edge)
-        return Region.around(corners) if np.ptp(corners, axis=0).min() > 8.0 else None
+            u, v = camera.project(true.position_m)
+            if not (0.0 <= u < camera.width and 0.0 <= v < camera.height):
+                return None, 0.0
+            position_m, rotation, fraction = self.as_seen(true.position_m), true.rotation, 1.0
+        else:
+            # As from a camera that sends only the region around the body: drawing takes long.
+            region = body.grown(body.width // 8 + 8, camera)
+            view = CameraModel(region.view(self._reported_intrinsics))
+            seen = self._detector.look(self.time_s, *self._draw(region), view).accepted
+            if seen is None:
+                return None, 0.0
+            position_m, rotation, fraction = seen.position_m, seen.rotation, seen.visible_fraction
+        return self._blurred(self.kind.of_body(position_m, rotation)), fraction
 
     def _draw(self, region: Region) -> tuple[np.ndarray, np.ndarray]:
         """Colours and depths of a part of the image."""
         config, rng, camera = self.config, self._noise_rng, self.intrinsics
         rgb, depth_m = self._renderer.render(self.camera, region)
-        self.world.paint_tag(rgb, depth_m, region.view(camera), self.camera, self._velocities, rng)
+        self.world.paint(rgb, depth_m, region.view(camera), self.camera, self._velocities, rng)
         depth_m = add_depth_noise(depth_m, camera.fx, rng, config.depth_noise)
         return rgb, depth_m * np.float32(1.0 + config.depth_error)
-
-    def _ideal_detection(self) -> BallDetection | TagPose | None:
-        """Replace an image: the true position or pose, as a perfect detection."""
-        true, camera, tag = self.true_tag_pose(), self.intrinsics, self.world.tag
-        position_m = self.as_seen(true.position_m)
-        if tag is not None:
-            faces = tuple(tag.tag.facing(true.rotation, true.position_m))
-            if tag.region(true, camera) is None or not faces:
-                return None
-            return TagPose(position_m, true.rotation, faces, np.zeros((len(faces), 4, 2)), 0.0)
-        radius_m, depth_m = self.config.ball_radius_m, true.position_m[2]
-        if depth_m < 2.0 * radius_m:
-            return None
-        u, v = camera.project(true.position_m)
-        if not (0.0 <= u < camera.width and 0.0 <= v < camera.height):
-            return None
-        return BallDetection(position_m, 1.0, 1.0, 0.0, float(radius_m * camera.fx / depth_m))
 
     def _blurred(self, z: np.ndarray) -> np.ndarray:
         """The measurement with further noise, of a rotation along its arc."""
@@ -393,33 +360,33 @@ class Simulation:
         """Where the ball is now, camera frame, m, shape (3,). For evaluation only."""
         return self.camera.to_camera(self.world.ball_position())
 
-    def true_tag_pose(self) -> CameraPose:
-        """The tag as the camera sees it now. For evaluation only."""
-        return self.world.tag_pose(self.camera)
+    def true_pose(self) -> CameraPose:
+        """Ball or tag as the camera sees it now. For evaluation only."""
+        return self.world.carried_pose(self.camera)
 
     def true_feature(self) -> np.ndarray:
         """The feature as the camera sees it now, (m,). For evaluation only."""
-        pose = self.true_tag_pose()
+        pose = self.true_pose()
         return self.kind.of_body(pose.position_m, pose.rotation)
 
-    def true_feature_jacobian(self, joints_rad: np.ndarray, kind: Kind | None = None) -> np.ndarray:
-        """Exact Jacobian of the feature, m/rad, (d, n), at joints, rad, (n,)."""
+    def true_jacobian(
+        self, joints_rad: Sequence[float] | np.ndarray, kind: Kind | None = None
+    ) -> np.ndarray:
+        """Exact Jacobian of the feature, m/rad, shape (d, n), camera frame.
+
+        Parameters
+        ----------
+        joints_rad : array_like, shape (n,)
+            Joint angles, rad.
+        kind : Kind, optional
+            Of the feature; default that of the configuration.
+        """
         kind = kind or self.kind
-        return kind.moved_by(*self.true_chain(kind).motion(joints_rad))
+        motion = self.true_chain(kind).motion(np.asarray(joints_rad, dtype=float))
+        return kind.moved_by(*motion)
 
     def true_chain(self, kind: Kind | None = None) -> SerialChain:
         """The arm as the camera sees it now, with ball or tag. For evaluation only."""
         back = self.camera.rotation.T
         chain = self.world.chain_with(kind or self.kind)
         return chain.moved(back, -back @ self.camera.position_m)
-
-    def true_jacobian(self, joints_rad: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Exact Jacobian of the ball's position in the camera frame, m/rad, shape (3, n).
-
-        Parameters
-        ----------
-        joints_rad : array_like, shape (n,)
-            Joint angles, rad.
-        """
-        jacobian = self.world.ball_jacobian(np.asarray(joints_rad, dtype=float))
-        return self.camera.rotation.T @ jacobian

@@ -1,6 +1,6 @@
 """The PyBullet world: the arm, its ball or tag, other objects, and the renderer.
 
-Only this module calls the physics engine. Every world is its own client, so that one process can
+Every world is its own client, so that one process can
 hold several.
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from functools import cached_property
-from itertools import combinations
 from tempfile import NamedTemporaryFile
 from typing import Any
 
@@ -16,32 +15,25 @@ import cv2
 import numpy as np
 
 from fvs_detector_node.images import Region
-from fvs_ros.arguments import how_to_install
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind, kind_of
 from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.urdf import UrdfJoint
 from fvs_sim_node.camera import CameraPose
-from fvs_sim_node.config import BALL_RGBA, SceneObject, SimConfig
+from fvs_sim_node.carried import CARRIED
+from fvs_sim_node.config import SceneObject, SimConfig
 from fvs_sim_node.placement import Placement
 from fvs_sim_node.robot import moving_joints, robot_description, robot_of
-from fvs_sim_node.tag import TAGGED, TagPicture, exposed
-
-try:
-    import pybullet
-    from pybullet_utils.bullet_client import BulletClient
-except ImportError as error:
-    words = f"the simulator needs pybullet: {how_to_install('sim', ['pybullet'])} ({error})"
-    raise ImportError(words) from None
+from fvs_sim_node.shapes import BulletClient, box, pybullet, sphere
+from fvs_sim_node.tag import exposed
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 _NEAR_M, _FAR_M = 0.25, 4.0
 #: Effort of a joint, and radius of gyration of a link, whose URDF states none.
 _STRONG_NM, _GYRATION_M = 100.0, 0.05
-#: Half thickness of the plate with the tag, m, its tilt at home about its x and y axes, rad, and
-#: how far the rod stands behind it, m.
-_PLATE_M, _TILT_RAD, _BEHIND_M = 0.001, (0.4, 0.4, 0.0), 0.03
+#: Tilt of a tag at home about its x and y axes, rad: seen squarely it tells its pose less well.
+_TILT_RAD = np.array([0.4, 0.4, 0.0])
 # OpenGL cameras look along -z with y up.
 _OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0])
 
@@ -81,20 +73,13 @@ class World:
             self._prepare_links()
             for thing in config.objects:
                 self.add_object(thing)
-            self.tag = TagPicture(config.tag) if config.feature in TAGGED else None
-            if self.tag is not None:  # the flange hides none of it
-                self._ball_offset_m += 0.5 * self.tag.tag.extent_m.max()
-            self._ball = self._body(
-                self._paper(self.tag.tag.extent_m)
-                if self.tag is not None
-                else self._sphere(config.ball_radius_m, BALL_RGBA)
-            )
+            self.carried = CARRIED[config.feature](config)
+            self._ball_offset_m += self.carried.depth_m
+            self._ball = self._body(self.carried.shape(self.client))
             self._rod = self._add_rod()
             self.reset(np.zeros(len(self._joints)))
             self._zero_ball_m, self._zero_link = self.ball_position(), self._link_rotation()
-            self._mount = np.eye(3)
-            if self.tag is not None:
-                self._mount = self._mounted(config)
+            self._mount = self._mounted(config) if self.carried.faces_camera else np.eye(3)
             self.place_ball()
         except BaseException:
             self.close()
@@ -159,40 +144,13 @@ class World:
     def add_object(self, thing: SceneObject) -> int:
         """Put a thing into view; returns its body number."""
         if len(thing.size_m) == 1:
-            shape = self._sphere(thing.size_m[0], thing.rgba)
+            shape = sphere(self.client, thing.size_m[0], thing.rgba)
         else:
-            half_m = [0.5 * edge for edge in thing.size_m]
-            shape = self.client.createVisualShape(
-                pybullet.GEOM_BOX, halfExtents=half_m, rgbaColor=thing.rgba
-            )
+            shape = box(self.client, 0.5 * np.array(thing.size_m), thing.rgba)
         return self._body(shape, thing.position_m)
 
-    def _sphere(self, radius_m: float, rgba: tuple[float, ...]) -> int:
-        # A <sphere> is drawn 5 % too small; the faces of this one lie inside its corners.
-        vertices, triangles = _unit_sphere()
-        return self.client.createVisualShape(
-            pybullet.GEOM_MESH,
-            vertices=(vertices * radius_m * 1.0027).tolist(),
-            indices=triangles.ravel().tolist(),
-            normals=vertices.tolist(),
-            rgbaColor=rgba,
-        )
-
-    def _paper(self, extent_m: np.ndarray) -> int:
-        """White, its sides in the planes of the tags; a plate's front, if it is flat."""
-        flat = extent_m[2] == 0.0
-        return self.client.createVisualShape(
-            pybullet.GEOM_BOX,
-            halfExtents=[*(0.5 * extent_m[:2]), _PLATE_M if flat else 0.5 * extent_m[2]],
-            rgbaColor=(1.0, 1.0, 1.0, 1.0),
-            visualFramePosition=(0.0, 0.0, -_PLATE_M if flat else 0.0),
-        )
-
     def _mounted(self, config: SimConfig) -> np.ndarray:
-        """The tag's rotation in its link: as somebody tapes it, at home before the camera.
-
-        It is tilted, since a tag that is seen squarely tells its pose less well.
-        """
+        """The tag's rotation in its link: as somebody tapes it, at home before the camera."""
         given = config.initial_joints_rad
         home_rad = np.array(given) if given else self.home_rad
         camera = config.camera_pose or self.camera(config.camera, config.intrinsics)
@@ -202,7 +160,7 @@ class World:
         right = np.cross((0.0, 0.0, 1.0) if abs(out[2]) < 0.99 else (1.0, 0.0, 0.0), out)
         right /= np.linalg.norm(right)
         facing = np.stack([right, np.cross(out, right), out], axis=1)
-        return self._link_rotation().T @ facing @ cv2.Rodrigues(np.array(_TILT_RAD))[0]
+        return self._link_rotation().T @ facing @ cv2.Rodrigues(_TILT_RAD)[0]
 
     def _add_rod(self) -> int:
         shape = self.client.createVisualShape(
@@ -253,12 +211,12 @@ class World:
         state = self._link_state()
         return np.array(state[4]) + self._ball_offset_m * _matrix(state[5])[:, 2]
 
-    def tag_pose(self, camera: CameraPose) -> CameraPose:
-        """The tag as a camera sees it: x to the right of the print, y up, z out of it."""
+    def carried_pose(self, camera: CameraPose) -> CameraPose:
+        """Ball or tag as a camera sees it; the tag's x to the right of the print, z out of it."""
         turn = camera.rotation.T @ self._link_rotation() @ self._mount
         return CameraPose(camera.to_camera(self.ball_position()), turn)
 
-    def paint_tag(
+    def paint(
         self,
         rgb: np.ndarray,
         depth_m: np.ndarray,
@@ -267,18 +225,11 @@ class World:
         velocities_rad_s: np.ndarray,
         rng: np.random.Generator,
     ) -> None:
-        """Paint the tag, if there is one, into a part of a camera's image, blurred by motion."""
-        if self.tag is None:
-            return
-        joints = self.joint_states()[0]
-        linear, turning = (camera.rotation.T @ one for one in self._jacobians(joints))
-        speeds = linear @ velocities_rad_s, turning @ velocities_rad_s
-        poses = exposed(self.tag_pose(camera), *speeds, self._exposure_s)
-        self.tag.paint(rgb, depth_m, view, poses, rng)
-
-    def ball_jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Of the ball, m/rad, world frame, shape (3, n), at joint angles, rad, shape (n,)."""
-        return self._jacobians(joints_rad)[0]
+        """Paint tags into a part of a camera's image, blurred by motion."""
+        jacobians = self._jacobians(self.joint_states()[0])
+        linear, turning = (camera.rotation.T @ (one @ velocities_rad_s) for one in jacobians)
+        poses = exposed(self.carried_pose(camera), linear, turning, self._exposure_s)
+        self.carried.paint(rgb, depth_m, view, poses, rng)
 
     def _jacobians(self, joints_rad: np.ndarray) -> list[np.ndarray]:
         """Of the ball's position and of the link's rotation, each of shape (3, n)."""
@@ -344,14 +295,12 @@ class World:
     def place_ball(self) -> None:
         """Move the ball or tag and its rod to the link's present pose; call before rendering."""
         state = self._link_state()
-        foot, turn = state[4], state[5]
-        if self.tag is not None:
-            plate = self._link_rotation() @ self._mount
-            if self.tag.tag.extent_m[2] == 0.0:
-                foot = np.array(foot) - _BEHIND_M * plate[:, 2]
-            turn = quaternion_from_rotation(plate)
+        turn = self._link_rotation() @ self._mount
+        foot = np.array(state[4]) - self.carried.rod_gap_m * turn[:, 2]
         self.client.resetBasePositionAndOrientation(self._rod, foot, state[5])
-        self.client.resetBasePositionAndOrientation(self._ball, self.ball_position(), turn)
+        self.client.resetBasePositionAndOrientation(
+            self._ball, self.ball_position(), quaternion_from_rotation(turn)
+        )
 
 
 class Renderer:
@@ -415,29 +364,6 @@ class Renderer:
 
 def _matrix(quaternion_xyzw: Any) -> np.ndarray:
     return np.reshape(pybullet.getMatrixFromQuaternion(quaternion_xyzw), (3, 3))
-
-
-def _unit_sphere() -> tuple[np.ndarray, np.ndarray]:
-    """Corners (V, 3) and triangles (1280, 3) of an icosahedron whose faces are cut in four thrice.
-
-    The triangles are counter-clockwise seen from outside.
-    """
-    golden = (1.0 + 5.0**0.5) / 2.0
-    corners = np.array([(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
-    corners = np.vstack([np.roll(corners, shift, axis=1) for shift in range(3)])
-    near = np.linalg.norm(corners[:, None] - corners, axis=2) < 2.1  # an edge is 2 long
-    faces = [one for one in combinations(range(12), 3) if near[np.ix_(one, one)].all()]
-    triangles = corners[faces]
-    for _ in range(3):
-        triangles /= np.linalg.norm(triangles, axis=2, keepdims=True)
-        a, b, c = np.moveaxis(triangles, 1, 0)
-        parts = (a, a + b, c + a), (a + b, b, b + c), (c + a, b + c, c), (a + b, b + c, c + a)
-        triangles = np.vstack([np.stack(part, axis=1) for part in parts])
-    triangles /= np.linalg.norm(triangles, axis=2, keepdims=True)
-    inward = np.linalg.det(triangles) < 0.0
-    triangles[inward] = triangles[inward][:, ::-1]
-    points, numbers = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-    return points, numbers.reshape(-1, 3)
 
 
 def _view_matrix(pose: CameraPose) -> list[float]:

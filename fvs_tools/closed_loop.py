@@ -53,7 +53,7 @@ def make_estimator(
     """
     kind = kind_of(simulation.config.feature, lever_arm_m)
     if method == "oracle":
-        truth = partial(simulation.true_feature_jacobian, kind=kind)
+        truth = partial(simulation.true_jacobian, kind=kind)
         return OracleEstimator(truth, kind=kind)
     trained = _load(model or kind.model, simulation.world.joint_names, kind.name)
     return create_estimator(method, trained.model, values or {}, trained.chain, kind)

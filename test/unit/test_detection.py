@@ -15,7 +15,7 @@ def find(spheres, spoil=None, **scene):
     rgb, depth = draw(spheres, **scene)
     if spoil is not None:
         spoil(rgb, depth)
-    return detect_ball(rgb, depth, VGA, RADIUS_M)
+    return detect_ball(rgb, depth, VGA, RADIUS_M)[0]
 
 
 def error_mm(detection, centre):
@@ -88,6 +88,3 @@ def test_red_flat_things_are_not_the_ball():
             rgb[part], depth[part] = (200, 20, 20), 1.2
 
         assert find([], paint) is None
-
-
-# ---------------------------------------------------------------- drawn by the simulator

@@ -8,8 +8,8 @@ import pytest
 from cases import each
 from drawn_balls import RADIUS_M, VGA, draw, hide
 
+from fvs_detector_node.ball_detector import BallDetector
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detector import BallDetector
 from fvs_ros.camera import CameraModel, camera_model
 
 PINHOLE = CameraModel(VGA)
@@ -27,7 +27,7 @@ def ball(*centres):
 
 
 def error_mm(sighting, centre):
-    return 1e3 * np.linalg.norm(sighting.found.position_m - centre)
+    return 1e3 * np.linalg.norm(sighting.detection.position_m - centre)
 
 
 # ------------------------------------------------------------------------------- searching
@@ -38,16 +38,18 @@ def test_a_ball_that_moves_is_found_in_a_window_at_the_same_place_as_in_the_whol
         sighting = follows.look(DT * i, *images, PINHOLE)
         assert sighting.problem == ""
         fresh = detector().look(0.0, *images, PINHOLE)
-        np.testing.assert_allclose(sighting.found.position_m, fresh.found.position_m, atol=1e-9)
+        np.testing.assert_allclose(
+            sighting.detection.position_m, fresh.detection.position_m, atol=1e-9
+        )
 
 
 @each("shift_m", [-0.3, 0.05, 0.06, 0.07, 0.08])
 def test_a_ball_that_left_the_window_or_is_cut_by_it_is_measured_whole(shift_m):
-    looks = detector(max_ball_speed_m_s=100.0)
+    looks = detector()
     looks.look(0.0, *ball(CENTRE), PINHOLE)
     moved = CENTRE + [shift_m, 0.0, 0.0]
     sighting = looks.look(DT, *ball(moved), PINHOLE)
-    assert sighting.found.visible_fraction == pytest.approx(1.0, abs=0.02)
+    assert sighting.detection.visible_fraction == pytest.approx(1.0, abs=0.02)
     assert error_mm(sighting, moved) < 0.6
 
 
@@ -90,7 +92,7 @@ def test_the_lens_does_not_move_the_ball(model, coefficients):
     assert error_mm(window, centre) < 1.5
     # Without the correction it would be off.
     raw = detector().look(0.0, rgb, depth, PINHOLE)
-    assert raw.found is None or error_mm(raw, centre) > 4.0
+    assert raw.detection is None or error_mm(raw, centre) > 4.0
 
 
 # ----------------------------------------------------------------------------- calibration
@@ -122,6 +124,3 @@ def test_a_calibration_may_lack_distortion_or_cut_a_region_out():
             assert not camera.distorts
     camera = camera_model(640, 480, K, "plumb_bob", [0.0] * 5, roi=(100, 50, 320, 240))
     assert camera.intrinsics == dataclasses.replace(VGA, width=320, height=240, cx=219.5, cy=189.5)
-
-
-# ------------------------------------------------------------------------------- annotation

@@ -63,7 +63,6 @@ def test_time_rates_and_latency(make):
         assert latency_s - 1e-9 <= min(ages) <= max(ages) < latency_s + PERIOD_S + 1e-9
 
 
-# ---------------------------------------------------------------------- commands
 # ---------------------------------------------------------------------- the ball
 def test_the_ball_comes_from_the_image(make):
     simulation = make(image_width=320, image_height=240)
@@ -119,14 +118,13 @@ def test_a_ball_out_of_view_or_behind_a_hand_is_lost_and_found_again(make, rende
         {"camera_rotation_deg": (0.0, 180.0, 0.0)},
         {"camera_covered": True},
     ):
-        assert simulation.look().detection is not None
+        assert simulation.look().z is not None
         before = simulation.config
         change(simulation, **lost)
-        assert simulation.look().detection is None
+        assert simulation.look().z is None
         simulation.configure(before)
 
 
-# ------------------------------------------------------------------------- truth
 # ------------------------------------------------------------------- determinism
 def trace(simulation):
     steps = drive_waves(simulation, 60)

@@ -1,0 +1,50 @@
+"""Visual shapes of PyBullet; importing this says how to install it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fvs_ros.arguments import how_to_install
+
+try:
+    import pybullet
+    from pybullet_utils.bullet_client import BulletClient
+except ImportError as error:
+    words = f"the simulator needs pybullet: {how_to_install('sim', ['pybullet'])} ({error})"
+    raise ImportError(words) from None
+
+__all__ = ["BulletClient", "box", "pybullet", "sphere"]
+
+
+def box(
+    client: BulletClient,
+    half_m: np.ndarray,
+    rgba: tuple[float, ...],
+    middle_m: tuple[float, ...] = (0.0, 0.0, 0.0),
+) -> int:
+    """A box with half its edges, about a middle."""
+    return client.createVisualShape(
+        pybullet.GEOM_BOX, halfExtents=half_m, rgbaColor=rgba, visualFramePosition=middle_m
+    )
+
+
+def sphere(client: BulletClient, radius_m: float, rgba: tuple[float, ...]) -> int:
+    """A sphere: PyBullet draws its own 5 % too small."""
+    rows, columns = 18, 36
+    polar, around = np.mgrid[: rows + 1, :columns] * np.pi / rows
+    normals = np.stack(
+        [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)]
+    )
+    row, column = np.mgrid[:rows, :columns]
+    here, beside = row * columns + column, row * columns + (column + 1) % columns
+    below, across = here + columns, beside + columns
+    triangles = np.stack([here, below, across, here, across, beside], axis=-1)
+    # Its faces lie inside its corners: with this factor the outline's area is the sphere's.
+    vertices = 1.0035 * radius_m * normals.reshape(3, -1).T
+    return client.createVisualShape(
+        pybullet.GEOM_MESH,
+        vertices=vertices.tolist(),
+        indices=triangles.ravel().tolist(),
+        normals=normals.reshape(3, -1).T.tolist(),
+        rgbaColor=rgba,
+    )
