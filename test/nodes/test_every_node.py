@@ -55,12 +55,13 @@ BUILT_IN_SERVICES = {
     "set_parameters_atomically",
     "get_type_description",
 }
-#: Topics that a node has for some time only, or with ``tf2_msgs``.
+#: Topics that a node has for some time only, with ``tf2_msgs``, or with one alone of OTHERS.
 AT_TIMES = {
     topics.COLOR_IMAGE,
     topics.CAMERA_INFO,
     topics.COMMANDS,
     topics.POSITION_COMMANDS,
+    topics.DEPTH_IMAGE_COMPRESSED,
     topics.TF_STATIC,
 }
 TOPICS = (*topics.COMMON, *(topic for kind in KINDS.values() for topic in kind.topics))
