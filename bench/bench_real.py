@@ -26,11 +26,10 @@ from fvs_detector_node.tag_detector import TagDetector
 from fvs_detector_node.tags import SQUARE, Tag
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.files import DataSet
-from fvs_estimator_node.hand_eye import calibrate
-from fvs_estimator_node.hand_eye_model import tag_by_lens
 from fvs_ros.camera import camera_model
 from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.urdf import Kinematics
+from fvs_tools.calibration import calibrate
 from fvs_tools.table import read_table
 
 FOLDER = Path(__file__).resolve().parents[2] / "shared" / "real"
@@ -203,19 +202,14 @@ def part(data, some):
 
 def by_us(one, some):
     """Where the calibration of some images has the target in all."""
-    data, found = one.data, calibrate(part(one.data, some), one.arm, one.on_arm)
-    exposed_s = data.stamps_s - (0.0 if data.still else found.delay_s)
+    data, estimate = one.data, calibrate(part(one.data, some), one.arm, one.on_arm)
+    delay_s = estimate.mean.delay_s.item()
+    exposed_s = data.stamps_s - (0.0 if data.still else delay_s)
     columns = data.joints_rad.T[:: -1 if one.on_arm else 1]
     joints = np.array([np.interp(exposed_s, data.stamps_s, column) for column in columns]).T
-    tips = hands_of(found.arm, found.true_joints(joints))
-    target = matrices(found.carried_m[None], Rotation.from_matrix(found.carried_rotation))
-    poses = tips @ target
-    places = (poses[:, :3, 3] - found.translation_m) @ found.rotation
-    turns = found.rotation.T @ poses[:, :3, :3]
-    features = np.hstack([places, np.swapaxes(turns, 1, 2).reshape(-1, 9)])
-    by_lens = [np.log(found.focal), found.radial] @ tag_by_lens(features)
-    turned = Rotation.from_rotvec(by_lens[:, 3:]) * Rotation.from_matrix(turns)
-    return matrices(found.scale * (places + by_lens[:, :3]), turned), found
+    features = estimate.model.at(joints, estimate.mean)
+    turns = Rotation.from_matrix(np.swapaxes(features[:, 3:].reshape(-1, 3, 3), 1, 2))
+    return matrices(features[:, :3], turns), delay_s
 
 
 def by_opencv(one, some, method):
@@ -253,7 +247,7 @@ def compare(one, use):
     pieces = np.arange(count) * (count if one.data.still else PIECES) // count
     for fitted in splits(pieces[-1] + 1):
         some, held = use & fitted[pieces], use & ~fitted[pieces]
-        poses, found = by_us(one, some)
+        poses, delay_s = by_us(one, some)
         rows.setdefault("fvs_calibrate", []).append(errors(one, poses, held))
         for method in solvers:
             poses = by_opencv(one, some, method)
@@ -265,7 +259,7 @@ def compare(one, use):
             f"    {name:<20}", *(f"{half:7.2f} ({first:.2f}) {unit}" for half, first, unit in each)
         )
     if not one.data.still:
-        print(f"    images stamped {1e3 * found.delay_s:.1f} ms late by fvs_calibrate")
+        print(f"    images stamped {1e3 * delay_s:.1f} ms late by fvs_calibrate")
 
 
 def justin(folder):

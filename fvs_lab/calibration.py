@@ -10,25 +10,23 @@ from typing import Any
 import cv2
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.collecting import CollectorConfig
 from fvs_estimator_node.files import DataSet
-from fvs_estimator_node.hand_eye import calibrate
-from fvs_estimator_node.hand_eye_start import registered
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.arms import collect
 from fvs_lab.results import Results
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
-from fvs_ros.chain import SerialChain
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_sim_node.robot import robot_of
 from fvs_sim_node.simulation import Simulation
+from fvs_tools.calibration import calibrate
+from fvs_tools.hand_eye_model import HandEyeModel, Unknowns, registration
 
 #: Duration of the motion, s.
 MOTION_S = 60.0
@@ -102,9 +100,10 @@ def by_motion(task: tuple[int, str, float]) -> list[dict[str, Any]]:
     rows = []
     for size_deg in ZEROS_DEG:
         zeros = zeros_rad(seed, size_deg)
-        camera = calibrate(replace(data, joints_rad=data.joints_rad - zeros), arm())
-        error = errors(simulation, zeros, camera.rotation, camera.translation_m)
-        inside = bool(error @ np.linalg.solve(camera.covariance, error) < _ELLIPSOID)
+        estimate = calibrate(replace(data, joints_rad=data.joints_rad - zeros), arm())
+        pose = estimate.base_from_camera
+        error = errors(simulation, zeros, pose[:3, :3], pose[:3, 3])
+        inside = bool(error @ np.linalg.solve(estimate.covariance, error) < _ELLIPSOID)
         rows.append(_row(f"motion, {feature}", size_deg, error, seed=seed, inside=inside))
     return rows
 
@@ -149,25 +148,24 @@ def least_squares_pose(
     Of boards at reported joints, rad, (k, n), with rotations and positions, m, from images.
     Rotations count by their arcs at 0.3 m. The zero of the first joint counts as the base's.
     """
-    pose, kin = Pose(0.3), arm()
-    measured = np.array([pose.of_body(position, rotation) for rotation, position in boards])
-    start = registered(
-        DataSet(np.arange(TAUGHT), reported_rad, measured, np.arange(TAUGHT), kin.names,
-                feature=Pose.name), kin,
-    )  # fmt: skip
+    measured = np.array([Pose(0.3).of_body(position, rotation) for rotation, position in boards])
+    poses = np.arange(TAUGHT)
+    data = DataSet(poses, reported_rad, measured, poses, arm().names, still=True, feature=Pose.name)
+    model = HandEyeModel(data, arm(), *registration(arm(), reported_rad, measured))
 
-    def chain(values: np.ndarray) -> SerialChain:
-        rotation, middle = rotation_from_vector(values[:3]), measured[:, :3].mean(axis=0)
-        moved = start.moved(rotation, middle - rotation @ middle + values[3:6])
-        return replace(moved, feature_m=pose.retract(moved.feature_m, values[6:12]))
+    def unknowns(values: np.ndarray) -> np.ndarray:
+        """Those of the model: camera, board, and all zeros but the first; the rest is exact."""
+        camera_and_board, zeros = np.split(values, [12])
+        parts = Unknowns(*map(np.zeros, model.sizes))
+        parts.zeros[1:] = zeros
+        return np.concatenate([camera_and_board, *parts[2:]])
 
     def residuals(values: np.ndarray) -> np.ndarray:
-        zeros = np.append(0.0, values[12:])
-        return np.ravel(pose.weights * (chain(values).position(reported_rad + zeros) - measured))
+        return np.ravel(data.kind.weights * (model.features(unknowns(values)) - measured))
 
-    fitted = chain(least_squares(residuals, np.zeros(11 + len(kin.names))).x)
-    rotation = Rotation.align_vectors(kin.axes, fitted.axes)[0].as_matrix()
-    return rotation, kin.points_m[0] - rotation @ fitted.points_m[0]
+    fitted = least_squares(residuals, np.zeros(11 + len(arm().names))).x
+    base_from_camera = model.poses(model.unknowns(unknowns(fitted)))[0]
+    return base_from_camera[:3, :3], base_from_camera[:3, 3]
 
 
 def measure(context: lab.Context) -> Results:

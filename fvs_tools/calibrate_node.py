@@ -7,18 +7,16 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from math import inf
 from pathlib import Path
 from typing import Any
 
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 
-from fvs_estimator_node.calibration import Calibration
-from fvs_estimator_node.files import DataSet, data_set_of
-from fvs_estimator_node.hand_eye import calibrate
+from fvs_estimator_node.files import data_set_of
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
@@ -26,8 +24,9 @@ from fvs_ros.kinds.pose import Pose
 from fvs_ros.ros.images import from_color, sampled_camera
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
-from fvs_tools.calibrate import report, write
 from fvs_tools.calibrating import PARAMETERS, CalibrateConfig
+from fvs_tools.calibration import calibrate, report, verdict, write
+from fvs_tools.hand_eye import Estimate
 from fvs_tools.overlay import Photograph
 
 _POLL_S = 0.5
@@ -43,36 +42,27 @@ class CalibrateNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_calibrate_node", PARAMETERS)
         self._config = config = CalibrateConfig.from_values(self.values)
-        self._path = Path(config.output_path)
+        self._path, self._kind = Path(config.output_path), config.kind
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._kind = config.kind
         self._timeline, self._samples = Timeline(), list[Sample]()
         self._arm: Kinematics | None = None
         self._joint_map: JointMap | None = None
         self._worker = ThreadPoolExecutor(1)
-        self._job: Future[Calibration] | None = None
-        self._found: Calibration | None = None
-        self._next_s, self._good = _FIRST_S, 0
-        #: Whether the newest calibration had all the time that it may have.
-        self._last = self._done = False
+        self._estimate: Estimate | None = None
+        self._reason = "waiting for the robot's description"
         #: Why joints and feature are not taken; empty while they are.
         self._no_joints = f"no {topics.JOINT_STATES.name} yet"
         self._no_feature = f"no {self._kind.topics.tool.name} yet"
-        self._began_s = inf
-        self._reason = "waiting for the robot's description"
-        self._transforms: Any = None
-        #: One image and its camera, for the picture; subscribed to only until they are there.
-        self._images: list[ros.Sampled] = []
         self._camera: CameraModel | None = None
         self._photo: Photograph | None = None
-        self._data: DataSet | None = None
         if config.urdf_path:
             self._describe(Path(config.urdf_path).read_bytes())
         else:
             self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         self.subscribe(self._kind.topics.tool, self._on_feature)
-        self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
+        self._phases = self._run()
+        self.create_timer(_POLL_S, lambda: next(self._phases, None), clock=self.steady_clock)
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
     # --- inputs ---
@@ -113,10 +103,6 @@ class CalibrateNode(ros.FvsNode):
         self._no_feature = ""
         self._add(self._timeline.add_image(ros.from_stamp(message.header.stamp), z))
 
-    def _look(self) -> None:
-        prefix = self._config.camera_topics
-        self._images = sampled_camera(self, prefix, self._on_image, self._on_camera_info)
-
     def _on_camera_info(self, message: CameraInfo) -> None:
         self._camera = ros.from_camera_info(message)
 
@@ -127,78 +113,84 @@ class CalibrateNode(ros.FvsNode):
         self._photo = Photograph.of(from_color(message), self._camera, stamp_s)
 
     def _add(self, samples: list[Sample]) -> None:
-        if samples:
-            self._began_s = min(self._began_s, self.now_s())
         self._samples += samples[: _MOST - len(self._samples)]
 
-    # --- calibrating ---
+    # --- phases ---
 
     @property
-    def _time_s(self) -> float:
+    def _motion_s(self) -> float:
         """Time of the images so far, s."""
-        some = self._samples
-        return some[-1].stamp_s - some[0].stamp_s if some else 0.0
+        return self._samples[-1].stamp_s - self._samples[0].stamp_s if self._samples else 0.0
 
-    def _poll(self) -> None:
-        if self.exit_code is not None or self._done:
-            return
-        for one in self._images:
-            with suppress(ValueError):  # the picture does without
-                one.look()
-        while self._images and self._photo is not None:
-            self._images.pop().close()
-        if self._job is not None and self._job.done():
-            self._take(self._job)
-            self._job = None
-        if self._job is not None:
-            return
-        late = self.now_s() - self._began_s > self._config.duration_s
-        if self._good >= 2 or self._last:
-            self._conclude()
-        elif self._arm is not None and (late or self._time_s >= self._next_s):
-            if self._data is None:
-                self._look()
-            self._next_s, self._last = self._time_s + _PERIOD_S, late
-            self._data = data = data_set_of(
+    def _run(self) -> Iterator[None]:
+        """Collect and calibrate until that is good enough, or took too long; then conclude."""
+        while self._arm is None or not self._samples:
+            yield
+        ends_s = self.now_s() + self._config.duration_s
+        images = sampled_camera(
+            self, self._config.camera_topics, self._on_image, self._on_camera_info
+        )
+        good, next_s = 0, _FIRST_S
+        while good < 2:
+            while (late := self.now_s() > ends_s) is False and self._motion_s < next_s:
+                self._photograph(images)
+                yield
+            next_s = self._motion_s + _PERIOD_S
+            data = data_set_of(
                 list(self._samples),
                 joint_names=self._arm.names,
                 feature_frame=self._config.feature_frame,
                 feature=self._config.feature,
             )
-            self._job = self._worker.submit(calibrate, data, self._arm, self._config.camera_on_arm)
+            job = self._worker.submit(calibrate, data, self._arm, self._config.camera_on_arm)
+            while not job.done():
+                yield
+            try:
+                estimate = job.result()
+            except ValueError as error:
+                # What was found before may be of a camera that has moved since.
+                self._estimate, self._reason, good = None, str(error)[:400], 0
+            else:
+                self._estimate, self._reason = estimate, verdict(estimate)[1]
+                enough = (
+                    estimate.deviation_m < self._config.stop_at_m
+                    and estimate.deviation_rad < self._config.stop_at_rad
+                )
+                good = good + 1 if enough else 0
+            if late:
+                break
+        self._conclude()
 
-    def _take(self, job: Future[Calibration]) -> None:
-        try:
-            self._found = found = job.result()
-        except ValueError as error:
-            # What was found before may be of a camera that has moved since.
-            self._found, self._reason, self._good = None, str(error)[:400], 0
-            return
-        self._reason = found.verdict[1]
-        limits = self._config.stop_at_m, self._config.stop_at_rad
-        good = found.deviation_m < limits[0] and found.deviation_rad < limits[1]
-        self._good = self._good + 1 if good else 0
+    def _photograph(self, images: list[ros.Sampled]) -> None:
+        """Take one image and its camera, for the picture."""
+        for topic in images:
+            with suppress(ValueError):  # the picture does without
+                topic.look()
+        while images and self._photo is not None:
+            images.pop().close()
 
     def _conclude(self) -> None:
-        """Write and publish what was found."""
-        found = self._found
-        if found is None or self._data is None:
+        """Write and publish the estimate."""
+        estimate = self._estimate
+        if estimate is None:
             print(f"no calibration: {self._waits_for}", file=sys.stderr, flush=True)
             self.exit_code = stop.EXIT_FAILURE
             return
-        write(found, self._path, self._data, self._photo)
-        print(f"{report(found, self._photo)}\nwritten to {self._path}", flush=True)
-        unusable = found.verdict[0] == "unusable"
-        if not unusable and self._config.stay and self._publish_transform(found):
-            self._done, self._reason = True, "the transform is on /tf_static"
+        write(estimate, self._path, self._photo)
+        print(f"{report(estimate, self._photo)}\nwritten to {self._path}", flush=True)
+        if verdict(estimate)[0] == "unusable":
+            self.exit_code = stop.EXIT_FAILURE
+        elif self._config.stay and self._publish_transform(estimate):
+            self._reason = "the transform is on /tf_static"
         else:
-            self.exit_code = stop.EXIT_FAILURE if unusable else stop.EXIT_OK
+            self.exit_code = stop.EXIT_OK
 
-    def _publish_transform(self, found: Calibration) -> bool:
+    def _publish_transform(self, estimate: Estimate) -> bool:
         """Publish it for as long as the node runs; False if that is not possible."""
-        z = Pose().of_body(found.translation_m, found.rotation)
-        pose = ros.to_feature(self.ros_s(), found.arm.root, Pose(), z)
-        if self.publish_transform(pose, found.camera):
+        pose = estimate.base_from_camera
+        z = Pose().of_body(pose[:3, 3], pose[:3, :3])
+        message = ros.to_feature(self.ros_s(), estimate.model.arm.root, Pose(), z)
+        if self.publish_transform(message, estimate.model.data.feature_frame):
             return True
         print("tf2_msgs is not installed: publish it by the command above", file=sys.stderr)
         return False
@@ -206,23 +198,23 @@ class CalibrateNode(ros.FvsNode):
     @property
     def _waits_for(self) -> str:
         """The reason in words; first what keeps it from collecting."""
-        waits = "" if self._arm is None or self._done else self._no_joints or self._no_feature
+        waits = "" if self._arm is None else self._no_joints or self._no_feature
         return waits[:400] or self._reason
 
     def _publish_status(self) -> None:
-        found = self._found
+        estimate = self._estimate
         values = {
             "images": len(self._samples),
-            "motion_s": self._time_s,
-            "deviation_m": None if found is None else found.deviation_m,
-            "deviation_rad": None if found is None else found.deviation_rad,
+            "motion_s": self._motion_s,
+            "deviation_m": None if estimate is None else estimate.deviation_m,
+            "deviation_rad": None if estimate is None else estimate.deviation_rad,
         }
-        level = ros.WARN if found is None or found.verdict[0] != "good" else ros.OK
+        level = ros.OK if estimate and verdict(estimate)[0] == "good" else ros.WARN
         self.publish_status(level, "CALIBRATING", self._waits_for, values)
 
     def finish(self) -> None:
         """When interrupted, write what is known."""
-        if self.exit_code is None and not self._done:
+        if next(self._phases, True) is None and self.exit_code is None:
             self._conclude()
         self._worker.shutdown(wait=False, cancel_futures=True)
 

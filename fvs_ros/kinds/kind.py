@@ -135,6 +135,22 @@ class Kind:
         """The measurement nearest to any numbers, (m,): of a mean or a polynomial, say."""
         return numbers
 
+    def through_lens(self, z: np.ndarray, focal: float, radial: float) -> np.ndarray:
+        """What a camera measures, (k, m), of z, (k, m), that counts with a wrong lens.
+
+        Parameters
+        ----------
+        z : ndarray, shape (k, m)
+            The measurements with the true lens.
+        focal : float
+            True focal length over the assumed one, less 1.
+        radial : float
+            First coefficient of distortion (k1) that is not removed.
+        """
+        square = np.sum((z[:, :2] / z[:, 2:3]) ** 2, axis=1, keepdims=True)
+        factor = (1.0 + focal) * (1.0 + radial * square)
+        return z * np.concatenate([factor, factor, np.ones_like(factor)], axis=1)
+
     # ---- rigid bodies ------------------------------------------------------------------------
 
     def of_body(self, position_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -29,6 +29,8 @@ from fvs_ros.vectors import length, plausible
 
 #: From here on noise may change which direction of rotation is the shorter one, rad.
 _HALF_TURN_RAD = 0.9 * pi
+#: Half a tag's edge, m. It tells how much of a lens error turns a tag that faces the camera.
+_HALF_EDGE_M = 0.05
 
 
 class Pose(Kind):
@@ -102,6 +104,24 @@ class Pose(Kind):
         linear = super().moved_by(z, angular, linear_m)
         angular = self.lever_arm_m * np.swapaxes(angular, -1, -2)
         return np.concatenate([linear, angular], axis=-2)
+
+    def through_lens(self, z: np.ndarray, focal: float, radial: float) -> np.ndarray:
+        """Poses, (k, 12), that a wrong lens shows: the least-squares ones of shifted corners."""
+        axes = z[:, 3:9].reshape(-1, 2, 3)
+        edges = _HALF_EDGE_M * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) @ axes  # (k, 4, 3)
+        corners = z[:, None, :3] + edges
+        image = corners[..., :2] / corners[..., 2:]
+        projection = np.zeros((*image.shape, 3))
+        projection[..., :2], projection[..., 2] = np.eye(2), -image
+        projection /= corners[..., 2:, None]
+        slopes = np.concatenate([projection, -projection @ cross_matrix(edges)], axis=-1)
+        off = (focal + radial * np.sum(image**2, axis=-1, keepdims=True)) * image
+        slopes, off = slopes.reshape(-1, 8, 6), off.reshape(-1, 8, 1)
+        back = np.swapaxes(slopes, 1, 2)
+        motion = np.linalg.solve(back @ slopes, back @ off)[..., 0]
+        turned = z[:, 3:].reshape(-1, 3, 3)
+        turned = turned - turned @ cross_matrix(motion[:, 3:])
+        return np.hstack([z[:, :3] + motion[:, :3], turned.reshape(-1, 9)])
 
     def _basis(self, z: np.ndarray | None) -> np.ndarray:
         """Orthonormal rows, (6, 12): the tangent vectors among those of the weighted numbers."""

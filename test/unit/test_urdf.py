@@ -135,3 +135,14 @@ def test_the_default_tip_is_the_arms_last_link_and_no_finger(hand):
     assert tip == "wrist_3_link"
     assert [one.name for one in moving] == VALUES["joint_names"]
     assert moving_chain(and_(TEXT.replace("tool0", "flange"), *HANDS[hand]))[0] == "flange"
+
+
+def test_a_urdf_of_joints_in_a_ring_ends():
+    ring = (
+        '<robot name="r"><joint name="a" type="revolute"><parent link="l1"/><child link="l2"/>'
+        '<limit velocity="1"/></joint><joint name="b" type="revolute"><parent link="l2"/>'
+        '<child link="l1"/><limit velocity="1"/></joint></robot>'
+    )
+    assert len(kinematics(read_joints(ring), "l1").names) == 2
+    with pytest.raises(ValueError, match="no joints: is it a xacro"):
+        kinematics(read_joints('<robot name="r"/>'))

@@ -1,0 +1,274 @@
+"""A calibration in words and files: what the data lack, what does not fit, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from shlex import quote
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from fvs_estimator_node.chain_start import MAX_OFFSET_S
+from fvs_estimator_node.files import DataSet
+from fvs_ros.rotations import quaternion_from_rotation
+from fvs_ros.urdf import Kinematics
+from fvs_ros.vectors import LARGEST, plausible
+from fvs_tools.hand_eye import Estimate, solve
+from fvs_tools.overlay import Photograph, draw, residual_px
+
+#: Standard deviations of the camera's position, m, and rotation, rad.
+GOOD, USABLE = (0.001, np.radians(0.1)), (0.01, np.radians(1.0))
+#: A joint that moves less, standard deviation in rad or m, is still.
+_STILL = 0.005
+#: Images that are this share of their spread off are not explained.
+_UNEXPLAINED = 0.2
+#: With a zero of this size, rad, the joint turns the other way, or is another.
+_OTHER_RAD = np.radians(10.0)
+#: Deviations from which on a part counts as off.
+_SIGMAS = 5.0
+
+
+class CalibrationError(ValueError):
+    """Data that no camera can be calibrated from; the text says why."""
+
+
+def calibrate(data: DataSet, arm: Kinematics, camera_on_arm: bool = False) -> Estimate:
+    """Find the camera in the arm's frame.
+
+    Parameters
+    ----------
+    data : DataSet
+        Images of a ball or tag on the tip of the moving arm; or, if the arm carries the camera, of
+        a ball or tag at rest.
+    arm : Kinematics
+        From the URDF.
+    camera_on_arm : bool
+        Whether the camera is on the tip.
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few images, a joint is missing, all but one are still, or nothing fits.
+    """
+    arm = arm.reversed() if camera_on_arm else arm
+    data = _ordered(data, arm)
+    estimate = solve(data, arm)
+    delay_s = np.clip(estimate.mean.delay_s.item(), -MAX_OFFSET_S, MAX_OFFSET_S)
+    if abs(delay_s) > 0.95 * MAX_OFFSET_S:
+        raise CalibrationError(
+            f"the images are stamped {delay_s:+.2f} s late, or more: correct their stamps"
+        )
+    spread_m = np.median(
+        np.linalg.norm(data.ball_m[:, :3] - data.ball_m[:, :3].mean(axis=0), axis=1)
+    )
+    if estimate.median_residual_m > _UNEXPLAINED * spread_m:
+        raise CalibrationError(
+            f"no arm with the joints {', '.join(arm.names)[:200]} explains the images: check tip "
+            f"link ({arm.tip}), joint units, names and directions, and that camera and target "
+            "stayed fixed"
+        )
+    return estimate
+
+
+def _ordered(data: DataSet, arm: Kinematics) -> DataSet:
+    """The data with the joints of the URDF, in its order."""
+    if data.feature_frame in ("", arm.root):
+        raise CalibrationError(
+            f"ball or tag has the frame {data.feature_frame!r}, expected the camera's"
+        )
+    if not (plausible(data.ball_m) and plausible(arm.points_m)):
+        raise CalibrationError(
+            f"the images or the URDF have positions above {LARGEST:g} m: metres?"
+        )
+    missing = [name for name in arm.names if name not in data.joint_names]
+    if missing:
+        raise CalibrationError(
+            f"the data lack {', '.join(missing)[:200]}, which move {arm.tip} in the URDF; they "
+            f"hold {', '.join(data.joint_names)[:400]}"
+        )
+    joints = data.joints_rad[:, [data.joint_names.index(name) for name in arm.names]]
+    still = [
+        name for name, size in zip(arm.names, joints.std(axis=0), strict=True) if size < _STILL
+    ]
+    if len(still) > len(arm.names) - 2:
+        raise CalibrationError(f"{', '.join(still)[:200]} never moved: move every joint")
+    least = 2 * (12 + data.kind.numbers) // data.kind.numbers  # twice the start's unknowns
+    if len(data) < least:
+        raise CalibrationError(f"there are {len(data)} images, expected at least {least}")
+    return replace(data, joints_rad=joints, joint_names=arm.names)
+
+
+def verdict(estimate: Estimate) -> tuple[str, str]:
+    """``good``, ``poor`` or ``unusable``, and the reason."""
+    model, deviations = estimate.model, (estimate.deviation_m, estimate.deviation_rad)
+    known = (
+        f"the camera is known to {1e3 * deviations[0]:.2g} mm and "
+        f"{np.degrees(deviations[1]):.2g} degrees (standard deviation)"
+    )
+    zeros_rad = np.where(model.arm.prismatic > 0.0, 0.0, np.abs(estimate.mean.zeros))
+    if zeros_rad.max() > _OTHER_RAD:
+        return "unusable", (
+            f"{model.arm.names[int(zeros_rad.argmax())]} differs from the URDF by more than 10 "
+            "degrees: are joints swapped or mirrored?"
+        )
+    away_m = np.reshape(model.arm.base_m, (-1, 3)) - estimate.base_from_camera[:3, 3]
+    in_base_m = max(GOOD[0], 3.0 * min(deviations[0], USABLE[0]))
+    if np.linalg.norm(away_m, axis=1).min(initial=np.inf) < in_base_m:
+        return "unusable", (
+            f"{model.data.feature_frame} is where the arm's base is: these are poses that the "
+            "robot says it has, not what a camera sees; name the topic of ball or tag"
+        )
+    if np.all(np.less(deviations, GOOD)):
+        return "good", known
+    word = "poor" if np.all(np.less(deviations, USABLE)) else "unusable"
+    joints = model.data.joints_rad
+    still = np.flatnonzero(joints.std(axis=0) < _STILL)
+    if still.size:
+        return word, f"{known}: {', '.join(model.arm.names[i] for i in still)[:200]} never moved"
+    if links := _links(estimate):
+        right = ": are joints swapped or mirrored, is the tip link right?"
+        return word, f"{known}: {links}{right if word == 'unusable' else ''}"
+    spans = np.where(model.arm.prismatic > 0.0, np.inf, np.ptp(joints, axis=0))
+    return word, f"{known}: move all joints further, {model.arm.names[int(spans.argmin())]} first"
+
+
+def _links(estimate: Estimate) -> str:
+    """Which links differ from the URDF, if any."""
+    if estimate.links_evidence < _SIGMAS:
+        return ""
+    shifts_m = np.linalg.norm(estimate.mean.links.reshape(-1, 6)[:, 3:], axis=1)
+    names = estimate.model.arm.names
+    # Links that the images cannot tell apart share the shift.
+    alike = np.flatnonzero(shifts_m > 0.5 * shifts_m.max())
+    links = " or ".join(f"{names[i]} to {names[i + 1]}" for i in alike)
+    return f"from {links[:200]} the URDF is off by some {1e3 * shifts_m[alike].sum():.1f} mm"
+
+
+def notes(estimate: Estimate) -> Iterator[str]:
+    """What else is off."""
+    mean, deviation, arm = estimate.mean, estimate.deviation, estimate.model.arm
+
+    def off(name: str, least: float) -> np.ndarray:
+        values, deviations = getattr(mean, name), getattr(deviation, name)
+        return np.flatnonzero(np.abs(values) > np.maximum(_SIGMAS * deviations, least))
+
+    for i in off("zeros", np.radians(0.2)):
+        zero = -mean.zeros[i]
+        size = f"{1e3 * zero:+.1f} mm" if arm.prismatic[i] else f"{np.degrees(zero):+.2f} degrees"
+        yield f"the zero of {arm.names[i]} is off by {size}"
+    for i in off("encoders", 0.001):
+        yield f"{arm.names[i]} moves {100.0 * mean.encoders[i]:+.2f} % further than it reports"
+    for name, least, words in (
+        (
+            "scale",
+            0.002,
+            "lengths {:+.2%} too long are reported: is the size of ball or tag right?",
+        ),
+        ("focal", 0.002, "the focal length is {:+.2%} longer than in camera_info"),
+        ("radial", 0.01, "the lens has a distortion of k1 = {:.3f} that is not removed"),
+    ):
+        if off(name, least).size:
+            yield words.format(getattr(mean, name).item())
+    if _links(estimate):
+        yield _links(estimate)
+
+
+def report(estimate: Estimate, photo: Photograph | None = None) -> str:
+    """The printed summary; residuals in pixels with the camera of a photograph."""
+    word, reason = verdict(estimate)
+    model, mean, deviation = estimate.model, estimate.mean, estimate.deviation
+    pixels = "" if photo is None else f", {residual_px(estimate, photo.camera):.2f} px"
+    position, quaternion = (
+        ", ".join(f"{number:.5f}" for number in numbers) for numbers in _pose(estimate)
+    )
+    lines = [
+        "",
+        f"{word}: {reason}",
+        f"{model.arm.root} to {model.data.feature_frame}: ({position}) m, "
+        f"quaternion ({quaternion})",
+        f"{model.kind.what} in {model.arm.tip}: {model.kind.text(estimate.target)}",
+        f"images stamped late: {round(1e3 * mean.delay_s.item(), 1) + 0.0:.1f} +- "  # no -0.0
+        f"{1e3 * deviation.delay_s.item():.1f} ms",
+        f"residual {1e3 * estimate.median_residual_m:.2f} mm{pixels} (median); "
+        f"{len(model.measured)} images, {estimate.outliers} outliers",
+        *(f"note: {note}" for note in notes(estimate)),
+        *([] if word == "unusable" else ["", static_transform(estimate)]),
+    ]
+    return "\n".join(lines)
+
+
+def _pose(estimate: Estimate) -> tuple[list[float], list[float]]:
+    """The camera's position, m, and quaternion."""
+    pose = estimate.base_from_camera
+    return pose[:3, 3].tolist(), quaternion_from_rotation(pose[:3, :3]).tolist()
+
+
+def static_transform(estimate: Estimate) -> str:
+    """The command that publishes it."""
+    names = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    numbers = [number for part in _pose(estimate) for number in part]
+    words = " ".join(f"--{name} {number:.6f}" for name, number in zip(names, numbers, strict=True))
+    parent, camera = estimate.model.arm.root, estimate.model.data.feature_frame
+    frames = f"--frame-id {quote(parent)} --child-frame-id {quote(camera)}"
+    return f"ros2 run tf2_ros static_transform_publisher {words} {frames}"
+
+
+def urdf_joint(estimate: Estimate) -> str:
+    """A joint that puts the camera's frame into a URDF."""
+    pose, frame = estimate.base_from_camera, estimate.model.data.feature_frame
+    position = " ".join(f"{number:.6f}" for number in pose[:3, 3])
+    angles = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz")
+    rpy = " ".join(f"{angle:.6f}" for angle in angles)
+    camera, parent = quoteattr(frame), quoteattr(estimate.model.arm.root)
+    return (
+        f"<link name={camera}/>\n"
+        f'<joint name={quoteattr(frame + "_joint")} type="fixed">\n'
+        f"  <parent link={parent}/>\n  <child link={camera}/>\n"
+        f'  <origin xyz="{position}" rpy="{rpy}"/>\n</joint>\n'
+    )
+
+
+def _content(estimate: Estimate, photo: Photograph | None) -> dict[str, Any]:
+    word, reason = verdict(estimate)
+    model, (position_m, quaternion) = estimate.model, _pose(estimate)
+
+    def numbers(values: np.ndarray | Sequence[float]) -> list[float]:
+        return [float(f"{value:.6g}") for value in values]
+
+    return {
+        "parent_frame": model.arm.root,
+        "camera_frame": model.data.feature_frame,
+        "translation_m": position_m,
+        "rotation_xyzw": quaternion,
+        "covariance": [numbers(row) for row in estimate.covariance],
+        "verdict": word,
+        "reason": reason,
+        "notes": list(notes(estimate)),
+        "target_in_tip": f"{model.arm.tip}: {model.kind.text(estimate.target)}",
+        "joint_names": list(model.arm.names),
+        # An infinite deviation: the images do not tell.
+        "unknowns": {
+            name: {
+                "mean": numbers(getattr(estimate.mean, name)),
+                "deviation": numbers(getattr(estimate.deviation, name)),
+            }
+            for name in ("delay_s", "scale", "focal", "radial", "zeros", "encoders")
+        },
+        "images": len(model.measured),
+        "outliers": estimate.outliers,
+        "residual_m": float(estimate.median_residual_m),
+        "residual_px": None if photo is None else residual_px(estimate, photo.camera),
+        "static_transform": static_transform(estimate),
+        "urdf": urdf_joint(estimate),
+    }
+
+
+def write(estimate: Estimate, path: Path, photo: Photograph | None = None) -> None:
+    """Write the file, and the picture beside it: over a photograph, if there is one."""
+    path.write_text(yaml.safe_dump(_content(estimate, photo), sort_keys=False), encoding="utf-8")
+    draw(estimate, photo, verdict(estimate)[0]).savefig(path.with_suffix(".png"), dpi=110)

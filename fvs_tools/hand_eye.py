@@ -1,0 +1,265 @@
+"""Where the camera is in an arm's frame, from images of a ball or tag and the arm's URDF.
+
+A camera that the arm carries, before a target at rest, is the same problem with the arm read from
+its tip. Linear least squares give the start, robust least squares an optimum for the URDF's links,
+and two linearisations there the normal distribution of all
+:class:`~fvs_tools.hand_eye_model.Unknowns`. How far links, lens, joints and scale are off is not
+known before: the result is averaged over several deviations of them, weighted by evidence.
+
+A camera cannot tell the zero of the first joint from its own pose, nor that of the last joint from
+the target's: both zeros count as exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.optimize import least_squares
+from threadpoolctl import threadpool_limits
+
+from fvs_estimator_node.chain_fit import inliers, whitening
+from fvs_estimator_node.chain_start import MAX_OFFSET_S, Path
+from fvs_estimator_node.files import DataSet
+from fvs_ros.kinds.ball import Ball
+from fvs_ros.urdf import Kinematics
+from fvs_tools.hand_eye_model import HandEyeModel, Unknowns, registration
+
+#: Prior standard deviations, in the units of the unknowns; of links the largest.
+PRIOR = Unknowns(*np.array([1.0, 1.0, 0.1, 0.02, 0.02, 0.2, 0.05, 0.005, 0.01]))
+#: Shares of it by which links, and what else is not free, may be off, all as likely: links by
+#: 10 mm to 10 um. Half decades: with whole ones, half of the runs left their 95 % ellipsoid.
+_LINK_SHARES, _OTHER_SHARES = 10.0 ** np.arange(0.0, -3.5, -0.5), 10.0 ** np.arange(0.0, -2.5, -0.5)
+#: Deviation of what counts as exact.
+_EXACT = 1e-6
+#: Delays of the images at which the search starts, s, and numbers of images in it.
+_STARTS_S, _FIRST, _SECOND = (-0.1, 0.0, 0.1), 100, 300
+#: Noise above which a residual counts less, and evaluations of the search.
+_ROBUST, _EVALUATIONS = 2.0, 50
+#: Linearisations.
+_ROUNDS = 2
+#: Errors of images within such a block may be alike, s.
+_BLOCK_S = 2.0
+#: Share of that common variance that all images have in common: a detector's bias.
+_BIAS = 0.25
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A camera's pose, and what else the images tell.
+
+    Parameters
+    ----------
+    model : HandEyeModel
+        Of the data; its arm is read from the tip, if the arm carries the camera.
+    values : ndarray, shape (p,)
+        The unknowns of the model.
+    deviation : Unknowns
+        Their standard deviations.
+    covariance : ndarray, shape (6, 6)
+        Of the camera's position, m, and of the rotation vector that turns it, rad, in the frame of
+        the root.
+    residual_m : ndarray, shape (k, 3)
+        The model's points less those of the images, m.
+    outliers : int
+        Images further than six standard deviations from the model.
+    links_evidence : float
+        Logarithm of the likelihood with other links than the URDF's, over that with the URDF's.
+    """
+
+    model: HandEyeModel
+    values: np.ndarray
+    deviation: Unknowns
+    covariance: np.ndarray
+    residual_m: np.ndarray
+    outliers: int
+    links_evidence: float
+
+    @property
+    def mean(self) -> Unknowns:
+        """What is off."""
+        return self.model.unknowns(self.values)
+
+    @property
+    def base_from_camera(self) -> np.ndarray:
+        """The camera's pose in the frame of the arm's root, m, (4, 4)."""
+        return self.model.poses(self.mean)[0]
+
+    @property
+    def target(self) -> np.ndarray:
+        """The target as it would be measured in the frame of the arm's tip, (m,)."""
+        arm = self.model.arm
+        vectors = self.model.poses(self.mean)[1].reshape(-1, 3).copy()
+        vectors[0] -= arm.tip_m
+        return np.asarray((vectors @ arm.tip_rotation).ravel())
+
+    @property
+    def deviation_m(self) -> float:
+        """Standard deviation of the camera's position, m."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+
+    @property
+    def deviation_rad(self) -> float:
+        """Standard deviation of the camera's rotation, rad."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
+    @property
+    def median_residual_m(self) -> float:
+        """Median distance of the images from the model, m."""
+        return float(np.median(np.linalg.norm(self.residual_m, axis=1)))
+
+    def in_camera(self, points_m: np.ndarray) -> np.ndarray:
+        """Points of the root's frame, m, (k, 3), in the camera's, where its image shows them."""
+        pose = self.base_from_camera
+        lens = self.mean.focal.item(), self.mean.radial.item()
+        return Ball().through_lens((points_m - pose[:3, 3]) @ pose[:3, :3], *lens)
+
+    def true_joints(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The URDF's joints, rad (m), (..., n), of reported ones."""
+        return np.asarray((1.0 + self.mean.encoders) * joints_rad + self.mean.zeros)
+
+
+@threadpool_limits.wrap(limits=1)
+def solve(data: DataSet, arm: Kinematics, prior: Unknowns = PRIOR) -> Estimate:
+    """The camera in the frame of the arm's root.
+
+    Parameters
+    ----------
+    data : DataSet
+        Images of a ball or tag on the tip, and the joints of the arm, in its order.
+    arm : Kinematics
+        From the URDF.
+    prior : Unknowns
+        Standard deviations of each part of the unknowns.
+    """
+    delays_s = (0.0,) if data.still else _STARTS_S
+    starts = [_start(data, arm, prior, delay_s) for delay_s in delays_s]
+    model, values, _ = min(starts, key=lambda start: start[2])
+    values = _optimum(model, prior, values, _SECOND)
+    unknowns = model.unknowns(values)
+    model = HandEyeModel(data, arm, *model.poses(unknowns))
+    values[: model.sizes[0] + model.sizes[1]] = 0.0
+    for _ in range(_ROUNDS):
+        values, covariance, good, evidence = _posterior(model, prior, values)
+    deviation = model.unknowns(np.sqrt(np.diag(covariance)))
+    deviation.zeros[[0, -1]] = np.inf
+    return Estimate(
+        model=model,
+        values=values,
+        deviation=deviation,
+        covariance=covariance[:6, :6],
+        residual_m=(model.features(values) - model.measured)[:, :3],
+        outliers=int(np.count_nonzero(~good)),
+        links_evidence=evidence,
+    )
+
+
+def _start(
+    data: DataSet, arm: Kinematics, prior: Unknowns, delay_s: float
+) -> tuple[HandEyeModel, np.ndarray, float]:
+    """Optimum from a delay of the images, s, for some of them, and their median residual, m."""
+    path = Path(data)
+    joints = path.joints_and_velocities(delay_s)[0]
+    model = HandEyeModel(data, arm, *registration(arm, joints, data.ball_m[path.indices]))
+    values = np.zeros(sum(model.sizes))
+    model.unknowns(values).delay_s[:] = delay_s
+    values = _optimum(model, prior, values, _FIRST)
+    off_m = (model.features(values) - model.measured)[:, :3]
+    return model, values, float(np.median(np.linalg.norm(off_m, axis=1)))
+
+
+def _deviations(
+    model: HandEyeModel, prior: Unknowns, links: float = 1.0, others: float = 1.0
+) -> np.ndarray:
+    """Of all unknowns, (p,), with shares of those of links and of what else is not free."""
+    shares = np.array([1.0] * 3 + [others] * 5 + [links])
+    deviation = np.repeat(shares * np.array(prior), model.sizes)
+    parts = model.unknowns(deviation)
+    parts.zeros[[0, -1]] = _EXACT
+    if model.arm.exact:
+        for part in parts.zeros, parts.encoders, parts.links:
+            part[:] = _EXACT
+    return deviation
+
+
+def _optimum(model: HandEyeModel, prior: Unknowns, start: np.ndarray, count: int) -> np.ndarray:
+    """Robust optimum with the URDF's links, for a number of images."""
+    images = np.unique(np.linspace(0, len(model.measured) - 1, count).astype(int))
+    measured = model.measured[images]
+    white = whitening(model.features(start, images) - measured, measured)
+    deviation, links = _deviations(model, prior), np.zeros(model.sizes[-1])
+    deviation = deviation[: -links.size or None]
+    limit = 10.0 * deviation
+    model.unknowns(np.append(limit, links)).delay_s[:] = MAX_OFFSET_S
+
+    def residuals(values: np.ndarray) -> np.ndarray:
+        off = model.features(np.append(values, links), images) - measured
+        return np.append(white @ off[..., None], values / deviation)
+
+    solution = least_squares(
+        residuals,
+        start[: deviation.size],
+        bounds=(-limit, limit),
+        x_scale=deviation,
+        loss="soft_l1",
+        f_scale=_ROBUST,
+        ftol=1e-6,
+        max_nfev=_EVALUATIONS,
+    )
+    return np.append(solution.x, links)
+
+
+def _posterior(
+    model: HandEyeModel, prior: Unknowns, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Mean and covariance of the unknowns, linearised at some; inliers; evidence for links.
+
+    One normal distribution for each size of the errors, weighted by evidence.
+    """
+    off = model.features(values) - model.measured
+    good = inliers(off, model.measured)
+    white = whitening(off, model.measured)[good]
+    rows = white @ model.slopes(values)[good]  # (k, m, p)
+    wanted = rows @ values - (white @ off[good][..., None])[..., 0]
+    equations = np.column_stack([rows.reshape(-1, values.size), wanted.ravel()])
+    # With the same sums of squares; in mode "r" the result is one array, whatever its stub says.
+    triangle = np.asarray(np.linalg.qr(equations, mode="r"))
+
+    mean, covariance, _ = _normal(triangle, _deviations(model, prior))
+    # Sums over blocks scatter more than those of single images if neighbours' errors are alike.
+    pulls = np.einsum("kmi,km->ki", rows, rows @ mean - wanted)
+    blocks = np.unique(np.floor(model.path.stamps_s[good] / _BLOCK_S), return_index=True)[1]
+    sums = np.add.reduceat(pulls, np.sort(blocks))
+    fitted = float(np.sum((triangle[:, :-1] @ covariance) * triangle[:, :-1]))
+    noise = float(np.sum((sums @ covariance) * sums)) / fitted
+    count = len(rows) * model.kind.size
+    noise = max(1.0, noise * count / max(count - fitted, 1.0))
+
+    parts = [
+        _normal(triangle / np.sqrt(noise), _deviations(model, prior, *shares))
+        for shares in product(_LINK_SHARES, _OTHER_SHARES)
+    ]
+    means, covariances, evidence = (np.array(part) for part in zip(*parts, strict=True))
+    weights = np.exp(evidence - evidence.max())
+    weights /= weights.sum()
+    mean = weights @ means
+    spread = np.sqrt(weights)[:, None] * (means - mean)
+    covariance = np.einsum("s,sij->ij", weights, covariances) + spread.T @ spread
+    # What no residual tells.
+    camera = triangle[:, :6]
+    bias = np.linalg.inv(camera.T @ camera / len(rows) + np.eye(6))
+    covariance[:6, :6] += _BIAS * (noise - 1.0) * bias
+    return mean, covariance, good, float(evidence.max() - evidence[-_OTHER_SHARES.size :].max())
+
+
+def _normal(equations: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Mean, covariance and evidence of unknowns about zero with white linear equations.
+
+    Takes slopes and, as the last column, values; by singular values, as the units differ much.
+    """
+    left, sizes, right = np.linalg.svd(equations[:, :-1] * deviation, full_matrices=False)
+    components, shrink = equations[:, -1] @ left, 1.0 / (1.0 + sizes**2)
+    axes = deviation[:, None] * right.T
+    evidence = -0.5 * float(shrink @ components**2 + np.log1p(sizes**2).sum())
+    return axes @ (shrink * sizes * components), axes * shrink @ axes.T, evidence

@@ -1,0 +1,150 @@
+"""What a camera sees of a target that an arm moves, by the URDF and by what may be off.
+
+Link i is turned and shifted before joint i. The camera reports a point (x, y, z) as ``s (f (1 + k
+r^2) x, f (1 + k r^2) y, z)`` with ``r^2 = (x^2 + y^2) / z^2``: s and f are scales of lengths and of
+the focal length, k is the first coefficient of distortion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fvs_estimator_node.chain_start import Path
+from fvs_estimator_node.files import DataSet
+from fvs_ros.rotations import nearest_rotation
+from fvs_ros.urdf import Kinematics
+
+#: Step of the derivatives, in m, rad and shares.
+_STEP = 1e-6
+
+
+class Unknowns(NamedTuple):
+    """What is estimated, or its standard deviations; all are 0 at the start, without errors."""
+
+    camera: np.ndarray  # shift, m, and rotation, rad, in the base's frame, from the start, (6,)
+    target: np.ndarray  # motion of what the tip carries, m and rad, from the start, (d,)
+    delay_s: np.ndarray  # how late the images are stamped, (1,)
+    scale: np.ndarray  # lengths that the camera reports over true ones, less 1, (1,)
+    focal: np.ndarray  # true focal length over that of camera_info, less 1, (1,)
+    radial: np.ndarray  # distortion k1 that camera_info lacks, (1,)
+    zeros: np.ndarray  # to be added to each joint, rad (m), (n,)
+    encoders: np.ndarray  # true motion of each joint over the reported one, less 1, (n,)
+    links: np.ndarray  # of each joint but the first: rotation times 0.5 m, and shift, m, (6 n - 6,)
+
+
+#: Lever arm of a link's rotation, m.
+_LINK_M = 0.5
+
+
+class HandEyeModel:
+    """Images as functions of the unknowns.
+
+    Parameters
+    ----------
+    data : DataSet
+        With the joints of the arm, in its order.
+    arm : Kinematics
+        From the URDF.
+    base_from_camera : ndarray, shape (4, 4)
+        Where the unknown pose of the camera begins.
+    target : ndarray, shape (m,)
+        Where the target begins: as it would be measured in the base's frame, all joints at zero.
+    """
+
+    def __init__(
+        self, data: DataSet, arm: Kinematics, base_from_camera: np.ndarray, target: np.ndarray
+    ) -> None:
+        self.data, self.arm, self.kind, self.path = data, arm, data.kind, Path(data)
+        self._base_from_camera, self._target = base_from_camera, target
+        #: What the images show, (k, m).
+        self.measured = data.ball_m[self.path.indices]
+        n = len(arm.names)
+        #: Of the parts of the unknowns.
+        self.sizes = 6, self.kind.size, 1, 1, 1, 1, n, n, 6 * (n - 1)
+
+    def unknowns(self, values: np.ndarray) -> Unknowns:
+        """The parts of a vector, (p,)."""
+        return Unknowns(*np.split(values, np.cumsum(self.sizes)[:-1]))
+
+    def poses(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+        """``base_from_camera``, (4, 4), and the target in the base's frame, (m,)."""
+        moved = self._base_from_camera.copy()
+        moved[:3, 3] += unknowns.camera[:3]
+        moved[:3, :3] = Rotation.from_rotvec(unknowns.camera[3:]).as_matrix() @ moved[:3, :3]
+        return moved, self.kind.retract(self._target, self.kind.unit * unknowns.target)
+
+    def features(self, values: np.ndarray, images: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """What images show, (k, m), at a vector of unknowns, (p,)."""
+        unknowns = self.unknowns(values)
+        joints = self.path.joints_and_velocities(unknowns.delay_s.item())[0][images]
+        return self.at(joints, unknowns)
+
+    def at(self, reported_rad: np.ndarray, unknowns: Unknowns) -> np.ndarray:
+        """What the camera shows, (k, m), at reported joints, rad (m), (k, n)."""
+        base_from_camera, target = self.poses(unknowns)
+        joints = (1.0 + unknowns.encoders) * reported_rad + unknowns.zeros
+        arm, target = _displaced(self.arm, target, unknowns.links.reshape(-1, 6))
+        vectors = arm.chain(target).position(joints).reshape(len(joints), -1, 3)
+        vectors[:, 0] -= base_from_camera[:3, 3]
+        features = (vectors @ base_from_camera[:3, :3]).reshape(len(joints), -1)
+        lens = unknowns.focal.item(), unknowns.radial.item()
+        features = self.kind.through_lens(features, *lens)
+        features[:, :3] *= 1.0 + unknowns.scale
+        return features
+
+    def slopes(self, values: np.ndarray) -> np.ndarray:
+        """Derivatives of the features by the unknowns, (k, m, p)."""
+        here = self.features(values)
+        steps = [self.features(values + step) - here for step in _STEP * np.eye(values.size)]
+        return np.stack(steps, axis=-1) / _STEP
+
+
+def _displaced(
+    arm: Kinematics, target: np.ndarray, links: np.ndarray
+) -> tuple[Kinematics, np.ndarray]:
+    """Arm and target with the links turned and shifted; see :class:`Unknowns`."""
+    if not links.any():
+        return arm, target
+    carried = target.reshape(-1, 3)
+    points_m = np.vstack([arm.points_m, carried[0]])
+    directions = np.vstack([arm.axes, carried[1:]])
+    rotations = Rotation.from_rotvec(links[:, :3] / _LINK_M).as_matrix()
+    for i in range(len(links), 0, -1):  # from the tip: no joint has been moved yet
+        back, pivot_m = rotations[i - 1].T, points_m[i].copy()
+        points_m[i:] = (points_m[i:] - pivot_m) @ back + pivot_m + links[i - 1, 3:]
+        directions[i:] = directions[i:] @ back
+    n = len(arm.axes)
+    target = np.vstack([points_m[n:], directions[n:]]).ravel()
+    return replace(arm, axes=directions[:n], points_m=points_m[:n]), target
+
+
+def registration(
+    arm: Kinematics, joints_rad: np.ndarray, features: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """``base_from_camera`` and the target in the base's frame, by linear least squares.
+
+    With vectors as rows, what is seen at x and carried at c of the tip is at ``x R + s = f + c T``
+    of the base, linear in R, s and c; the nearest rotation of R fixes the others. No start is
+    needed, and errors of the URDF move the optimum but make no second one.
+    """
+    rotations, points_m = arm.tip_at(joints_rad)  # T and f
+    vectors = features.reshape(len(features), -1, 3)  # a point, and directions, without s and f
+    slopes = np.zeros((*vectors.shape, 12 + vectors[0].size))
+    slopes[..., :9] = np.einsum("kjm,de->kjdme", vectors, np.eye(3)).reshape(*vectors.shape, 9)
+    slopes[:, 0, :, 9:12] = np.eye(3)
+    for j in range(vectors.shape[1]):
+        slopes[:, j, :, 12 + 3 * j : 15 + 3 * j] = -np.swapaxes(rotations, 1, 2)
+    shifts_m = np.zeros(vectors.shape)
+    shifts_m[:, 0] = points_m
+    rows, wanted = slopes.reshape(features.size, -1), shifts_m.ravel()
+    rotation = nearest_rotation(np.linalg.lstsq(rows, wanted, rcond=None)[0][:9].reshape(3, 3))
+    rest = np.linalg.lstsq(rows[:, 9:], wanted - rows[:, :9] @ rotation.ravel(), rcond=None)[0]
+    base_from_camera = np.eye(4)
+    base_from_camera[:3] = np.column_stack([rotation.T, rest[:3]])
+    target = rest[3:].reshape(-1, 3) @ arm.tip_rotation.T
+    target[0] += arm.tip_m
+    return base_from_camera, target.ravel()
