@@ -1,4 +1,4 @@
-"""What an arm costs beside a bare rclpy node, where it goes, and 1 kHz.
+"""What an arm costs beside a bare rclpy node, how long a tick takes, and 1 kHz.
 
 ``python -m bench cpu``. The arm is played by a light process of its own, which is not counted.
 """
@@ -17,19 +17,15 @@ from harness import Harness, ros_arguments
 from bench.timing import spread
 
 SECONDS, RATE_HZ, FAST_HZ, ROUNDS, ARM = 8.0, 125.0, 1000.0, 3, "arm"
-_CLOCK_HZ = os.sysconf("SC_CLK_TCK")
-CONTROLLER, ESTIMATOR = ("fvs_controller_node.node", "fvs_estimator_node.node")
-SERVO, TIMED = "fvs_tools.servo_node", "bench.timed_node"
-FAST = tuple({"method": "poe", "law": "minimum_time", "joint_state_rate_hz": FAST_HZ}.items())
 
 
 def _used_s(process):
     fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / _CLOCK_HZ
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def play(folder, start, rate_hz=RATE_HZ):
-    """Play an arm for what ``start`` starts: percent of a core, and its parts if timed."""
+    """Play an arm for what ``start`` starts: percent of a core, and the ticks, ms, if timed."""
     with closing(Harness(folder)) as harness:
         nodes = start(harness)
         arm = harness.start("bench.arm_node", str(rate_hz), str(SECONDS), ARM)
@@ -39,8 +35,8 @@ def play(folder, start, rate_hz=RATE_HZ):
             raise RuntimeError("the arm does not move")
         used_s = [_used_s(node) - used for node, used in zip(nodes, before_s, strict=True)]
         harness.end_processes()
-        parts = [json.loads(path.read_text()) for path in folder.glob("parts.json")]
-    return 100.0 * sum(used_s) / SECONDS, parts
+        ticks = [json.loads(path.read_text()) for path in folder.glob("ticks_ms.json")]
+    return 100.0 * sum(used_s) / SECONDS, ticks
 
 
 def bare(*executor):
@@ -55,13 +51,16 @@ def bare(*executor):
 def two_processes(harness):
     return [
         harness.start_node(module, {"__ns": f"/{ARM}"}, **parameters)
-        for module, parameters in ((CONTROLLER, {"autostart": True}), (ESTIMATOR, {}))
+        for module, parameters in (
+            ("fvs_controller_node.node", {"autostart": True}),
+            ("fvs_estimator_node.node", {}),
+        )
     ]
 
 
-def one_process(*scheme, module=SERVO):
+def one_process(module="fvs_tools.servo_node", **scheme):
     def start(harness):
-        return [harness.start(module, ARM, *ros_arguments(autostart=True, **dict(scheme)))]
+        return [harness.start(module, ARM, *ros_arguments(autostart=True, **scheme))]
 
     return start
 
@@ -91,20 +90,12 @@ def main():
             percent = np.median(values)
             ratios = "".join(f"{percent / floor:7.2f}" for floor in floors)
             print(f"  {label:22s} {percent:5.1f}   times the bare nodes {ratios}")
-        _, (parts,) = run(one_process(module=TIMED))
-        print(f"  computation of a tick  {spread(parts['ticks_ms']['tick alone'], 'ms')}")
-        _print_parts(parts)
-        percent, (parts,) = run(one_process(*FAST, module=TIMED), rate_hz=FAST_HZ)
+        _, (ticks_ms,) = run(one_process("bench.timed_node"))
+        print(f"  computation of a tick  {spread(ticks_ms['tick alone'], 'ms')}")
+        fast = one_process(
+            "bench.timed_node", method="poe", law="minimum_time", joint_state_rate_hz=FAST_HZ
+        )
+        percent, (ticks_ms,) = run(fast, rate_hz=FAST_HZ)
         print(f"one arm at {FAST_HZ:g} Hz, kinematic chain and minimum time: {percent:.1f} %")
-        for label, ticks_ms in parts["ticks_ms"].items():
-            print(f"  {label:22s} {spread(ticks_ms, 'ms', 99.9)}")
-        _print_parts(parts)
-
-
-def _print_parts(parts):
-    """Print where the time of a joint state goes, in percent of a core."""
-    rest = parts["cpu_percent"] - sum(percent for _, percent in parts["parts"].values())
-    print(f"  {'part':22s}  calls/s  percent of a core")
-    for label, (rate_hz, percent) in parts["parts"].items():
-        print(f"  {label:22s} {rate_hz:8.1f} {percent:8.2f}")
-    print(f"  {'rclpy, DDS, the rest':22s} {'':8s} {rest:8.2f}", flush=True)
+        for label, ticks in ticks_ms.items():
+            print(f"  {label:22s} {spread(ticks, 'ms', 99.9)}")

@@ -47,7 +47,7 @@ class Recording(NamedTuple):
     name: str
     data: DataSet
     arm: Kinematics
-    seen: np.ndarray  # poses of the target in the camera, (k, 4, 4)
+    target_in_camera: np.ndarray  # poses, (k, 4, 4)
     #: For errors in the image: points of the target, m, and the camera's matrix.
     points_m: np.ndarray | None = None
     matrix: np.ndarray | None = None
@@ -55,10 +55,10 @@ class Recording(NamedTuple):
     on_arm: bool = False
 
 
-def matrices(places_m, rotations):
+def matrices(positions_m, rotations):
     """Poses, (k, 4, 4)."""
-    poses = np.tile(np.eye(4), (*np.shape(places_m)[:-1], 1, 1))
-    poses[..., :3, :3], poses[..., :3, 3] = rotations.as_matrix(), places_m
+    poses = np.tile(np.eye(4), (*np.shape(positions_m)[:-1], 1, 1))
+    poses[..., :3, :3], poses[..., :3, 3] = rotations.as_matrix(), positions_m
     return poses
 
 
@@ -68,13 +68,13 @@ def as_rows(poses):
 
 def hands_of(arm, joints):
     """Poses of the tip."""
-    turns, places = arm.tip_at(joints)
-    return matrices(places, Rotation.from_matrix(np.swapaxes(turns, 1, 2)))
+    tip_from_base, positions_m = arm.tip_at(joints)
+    return matrices(positions_m, Rotation.from_matrix(np.swapaxes(tip_from_base, 1, 2)))
 
 
 def of_table(names, rows):
     """A data set, and an arm, as from a user's table that ends with the target's poses."""
-    lines = [["" if np.isnan(one) else repr(float(one)) for one in row] for row in rows]
+    lines = [["" if np.isnan(value) else repr(float(value)) for value in row] for row in rows]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "poses.csv"
         path.write_text("\n".join(",".join(line) for line in [[*names, *COLUMNS], *lines]))
@@ -103,21 +103,21 @@ def arm_of(model):
 def jazzy(folder):
     """Still images of a tag on the arm, and the inverse pose of the hand."""
     about = json.loads((folder / "frames.json").read_text())
-    camera, frames, hands, seen = about["camera"], about["frames"], [], []
-    model = camera_model(*(camera[one] for one in ("width", "height", "k", "model", "d")))
+    camera, frames, hands, tags = about["camera"], about["frames"], [], []
+    model = camera_model(*(camera[key] for key in ("width", "height", "k", "model", "d")))
     tag = Tag(tag_id=about["tag"]["id"], tag_size_m=about["tag"]["size_m"])
     detector = TagDetector(DetectorConfig(feature="pose", tag=tag))
     for number, frame in enumerate(frames):
         image = cv2.cvtColor(cv2.imread(str(folder / frame["image"])), cv2.COLOR_BGR2RGB)
-        found = detector.look(float(number), image, None, model).detection
-        if found is not None:
-            place, turn = (list(one.values()) for one in frame["base_to_tcp"].values())
-            hands.append(np.linalg.inv(matrices(place, Rotation.from_quat(turn))))
-            seen.append(matrices(found.position_m, Rotation.from_matrix(found.rotation)))
-    seen, names = np.array(seen), [f"hand_{one}" for one in COLUMNS]
-    data, arm = of_table(names, np.hstack([as_rows(np.array(hands)), as_rows(seen)]))
-    name = f"tag, read in {len(seen)} of {len(frames)} images"
-    yield Recording(name, data, arm, seen, tag.tag_size_m * SQUARE, np.reshape(camera["k"], (3, 3)))
+        pose = detector.look(float(number), image, None, model).detection
+        if pose is not None:
+            position, quaternion = (list(part.values()) for part in frame["base_to_tcp"].values())
+            hands.append(np.linalg.inv(matrices(position, Rotation.from_quat(quaternion))))
+            tags.append(matrices(pose.position_m, Rotation.from_matrix(pose.rotation)))
+    tags, names = np.array(tags), [f"hand_{column}" for column in COLUMNS]
+    data, arm = of_table(names, np.hstack([as_rows(np.array(hands)), as_rows(tags)]))
+    name = f"tag, read in {len(tags)} of {len(frames)} images"
+    yield Recording(name, data, arm, tags, tag.tag_size_m * SQUARE, np.reshape(camera["k"], (3, 3)))
 
 
 def webcams(folder):
@@ -129,23 +129,23 @@ def webcams(folder):
         size = tuple(about["pattern_size_inner_corners"].values())
         points_m = np.insert(np.mgrid[: size[0], : size[1]].T.reshape(-1, 2), 2, 0.0, axis=1)
         points_m = about["square_size_m"] * (points_m - points_m.mean(axis=0))
-        numbers, joints, seen = [], [], []
-        for pose in sorted(poses, key=lambda one: one["images"][name]):
+        numbers, joints, boards = [], [], []
+        for pose in sorted(poses, key=lambda pose: pose["images"][name]):
             for image in folder.glob(f"{pose['images'][name]}.*"):
                 grey = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
                 read, corners_px = cv2.findChessboardCornersSB(grey, size)
                 if read:
                     matrix, lens = scaled(about, grey.shape[1])
-                    turn, place = cv2.solvePnP(points_m, corners_px, matrix, lens)[1:]
-                    seen.append(matrices(place[:, 0], Rotation.from_rotvec(turn[:, 0])))
+                    vector, position = cv2.solvePnP(points_m, corners_px, matrix, lens)[1:]
+                    boards.append(matrices(position[:, 0], Rotation.from_rotvec(vector[:, 0])))
                     joints.append(np.radians(list(pose["joint_angles_deg"].values())))
                     numbers.append(pose["pose_id"])
-        if seen:
-            seen = upright(hands_of(arm, np.array(joints)), np.array(seen))
-            data, _ = of_table(arm.names, np.hstack([joints, as_rows(seen)]))
+        if boards:
+            boards = upright(hands_of(arm, np.array(joints)), np.array(boards))
+            data, _ = of_table(arm.names, np.hstack([joints, as_rows(boards)]))
             wrong = np.isin(numbers, [25, 26])
-            name = f"{name}, board read in {len(seen)} images"
-            yield Recording(name, data, arm, seen, points_m, matrix, wrong)
+            name = f"{name}, board read in {len(boards)} images"
+            yield Recording(name, data, arm, boards, points_m, matrix, wrong)
 
 
 def scaled(about, width):
@@ -157,29 +157,29 @@ def scaled(about, width):
     return matrix, np.array(about["distortion"]["coefficients"])
 
 
-def upright(hands, seen):
+def upright(hands, boards):
     """A board of 9 x 7 corners looks alike upside down; the hand turns by the board's angle."""
-    flipped = seen @ np.diag([-1.0, -1.0, 1.0, 1.0])
-    of_hand, of_seen, of_flipped = (
+    flipped = boards @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    of_hand, of_board, of_flipped = (
         Rotation.from_matrix(first[:3, :3].T @ poses[:, :3, :3]).magnitude()
-        for first, poses in ((hands[0], hands), (seen[0], seen), (seen[0], flipped))
+        for first, poses in ((hands[0], hands), (boards[0], boards), (boards[0], flipped))
     )
-    other = np.abs(of_flipped - of_hand) < np.abs(of_seen - of_hand)
-    return np.where(other[:, None, None], flipped, seen)
+    reversed_ = np.abs(of_flipped - of_hand) < np.abs(of_board - of_hand)
+    return np.where(reversed_[:, None, None], flipped, boards)
 
 
 def ethz(folder):
     """A camera on the arm in motion: its pose before the target, and the pose of the hand."""
     hand, camera = (
-        np.loadtxt(next(folder.glob(one)), delimiter=",") for one in ("*base_link*", "*target*")
+        np.loadtxt(next(folder.glob(name)), delimiter=",") for name in ("*base_link*", "*target*")
     )
-    seen = np.linalg.inv(matrices(camera[:, 1:4], Rotation.from_quat(camera[:, 4:])))
+    targets = np.linalg.inv(matrices(camera[:, 1:4], Rotation.from_quat(camera[:, 4:])))
     rows = np.full((len(hand) + len(camera), 15), np.nan)
     rows[: len(hand), :8] = hand
-    rows[len(hand) :, 0], rows[len(hand) :, 8:] = camera[:, 0], as_rows(seen)
-    data, arm = of_table(["stamp_s", *(f"hand_{one}" for one in COLUMNS)], rows)
-    seen = seen[np.isin(camera[:, 0], data.stamps_s)]
-    yield Recording("camera on the arm", data, arm, seen, on_arm=True)
+    rows[len(hand) :, 0], rows[len(hand) :, 8:] = camera[:, 0], as_rows(targets)
+    data, arm = of_table(["stamp_s", *(f"hand_{column}" for column in COLUMNS)], rows)
+    targets = targets[np.isin(camera[:, 0], data.stamps_s)]
+    yield Recording("camera on the arm", data, arm, targets, on_arm=True)
 
 
 # --- what is fitted, and what it predicts ---
@@ -193,89 +193,95 @@ def splits(count):
         yield np.isin(np.arange(count), order[: round(SHARE * count)])
 
 
-def part(data, some):
+def part(data, mask):
     """The images of a mask; runs end where others are left out."""
     names = ("stamps_s", "joints_rad", "ball_m")
-    segment = (data.segment + np.cumsum(np.diff(some, prepend=False)))[some]
-    return replace(data, segment=segment, **{name: getattr(data, name)[some] for name in names})
+    segment = (data.segment + np.cumsum(np.diff(mask, prepend=False)))[mask]
+    return replace(data, segment=segment, **{name: getattr(data, name)[mask] for name in names})
 
 
-def by_us(one, some):
+def by_us(recording, mask):
     """Where the calibration of some images has the target in all."""
-    data, estimate = one.data, calibrate(part(one.data, some), one.arm, one.on_arm)
+    data = recording.data
+    estimate = calibrate(part(data, mask), recording.arm, recording.on_arm)
     delay_s = estimate.mean.delay_s.item()
     exposed_s = data.stamps_s - (0.0 if data.still else delay_s)
-    columns = data.joints_rad.T[:: -1 if one.on_arm else 1]
+    columns = data.joints_rad.T[:: -1 if recording.on_arm else 1]
     joints = np.array([np.interp(exposed_s, data.stamps_s, column) for column in columns]).T
     features = estimate.model.at(joints, estimate.mean)
-    turns = Rotation.from_matrix(np.swapaxes(features[:, 3:].reshape(-1, 3, 3), 1, 2))
-    return matrices(features[:, :3], turns), delay_s
+    rotations = Rotation.from_matrix(np.swapaxes(features[:, 3:].reshape(-1, 3, 3), 1, 2))
+    return matrices(features[:, :3], rotations), delay_s
 
 
-def by_opencv(one, some, method):
+def by_opencv(recording, mask, method):
     """The same by a solver of OpenCV, with the mean of what it does not solve for."""
-    hands = hands_of(one.arm, one.data.joints_rad)
+    hands = hands_of(recording.arm, recording.data.joints_rad)
     # They are for a camera in the hand; for one beside it, the base moves as the hand sees it.
-    hands = hands if one.on_arm else np.linalg.inv(hands)
-    few = np.flatnonzero(some)[:: max(1, np.count_nonzero(some) // MOST)]
-    pairs = (poses[few, :3, part] for poses in (hands, one.seen) for part in (slice(3), 3))
+    hands = hands if recording.on_arm else np.linalg.inv(hands)
+    few = np.flatnonzero(mask)[:: max(1, np.count_nonzero(mask) // MOST)]
+    targets = recording.target_in_camera
+    pairs = (poses[few, :3, part] for poses in (hands, targets) for part in (slice(3), 3))
     method = getattr(cv2, f"CALIB_HAND_EYE_{method}")
-    rotation, place = cv2.calibrateHandEye(*pairs, method=method)
-    camera = matrices(place.T, Rotation.from_matrix(rotation[None]))
-    there = hands[few] @ camera @ one.seen[few]
-    turn = Rotation.from_matrix(there[:, :3, :3]).mean()
-    return np.linalg.inv(hands @ camera) @ matrices(there[:, :3, 3].mean(axis=0)[None], turn)
+    rotation, position = cv2.calibrateHandEye(*pairs, method=method)
+    camera = matrices(position.T, Rotation.from_matrix(rotation[None]))
+    there = hands[few] @ camera @ targets[few]
+    carried = Rotation.from_matrix(there[:, :3, :3]).mean()
+    return np.linalg.inv(hands @ camera) @ matrices(there[:, :3, 3].mean(axis=0)[None], carried)
 
 
-def errors(one, poses, held):
+def errors(recording, poses, held):
     """Rms over held-out images: mm, degrees and, with a camera matrix, pixels."""
-    poses, seen = poses[held], one.seen[held]
-    turns = np.swapaxes(poses[:, :3, :3], 1, 2) @ seen[:, :3, :3]
-    off = [1e3 * (poses - seen)[:, :3, 3], np.degrees(Rotation.from_matrix(turns).as_rotvec())]
-    if one.matrix is not None:
-        both = np.stack([poses, seen])[..., :3, :] @ np.insert(one.points_m, 3, 1.0, axis=1).T
-        image = one.matrix @ both
-        predicted, found = image[..., :2, :] / image[..., 2:, :]
-        off.append(np.swapaxes(predicted - found, 1, 2).reshape(-1, 2))
-    return [np.sqrt(np.mean(np.sum(each**2, axis=1))) for each in off]
+    poses, targets = poses[held], recording.target_in_camera[held]
+    rotations = np.swapaxes(poses[:, :3, :3], 1, 2) @ targets[:, :3, :3]
+    parts = [
+        1e3 * (poses - targets)[:, :3, 3],
+        np.degrees(Rotation.from_matrix(rotations).as_rotvec()),
+    ]
+    if recording.matrix is not None:
+        points = np.insert(recording.points_m, 3, 1.0, axis=1).T
+        image = recording.matrix @ (np.stack([poses, targets])[..., :3, :] @ points)
+        predicted, measured = image[..., :2, :] / image[..., 2:, :]
+        parts.append(np.swapaxes(predicted - measured, 1, 2).reshape(-1, 2))
+    return [np.sqrt(np.mean(np.sum(part**2, axis=1))) for part in parts]
 
 
-def compare(one, use):
+def compare(recording, use):
     """Print the errors on the held-out of the images that are used."""
     solvers = SOLVERS if hasattr(cv2, "calibrateHandEye") else ()
-    rows, count = {}, len(one.data)
-    pieces = np.arange(count) * (count if one.data.still else PIECES) // count
+    rows, count = {}, len(recording.data)
+    pieces = np.arange(count) * (count if recording.data.still else PIECES) // count
     for fitted in splits(pieces[-1] + 1):
-        some, held = use & fitted[pieces], use & ~fitted[pieces]
-        poses, delay_s = by_us(one, some)
-        rows.setdefault("fvs_calibrate", []).append(errors(one, poses, held))
+        mask, held = use & fitted[pieces], use & ~fitted[pieces]
+        poses, delay_s = by_us(recording, mask)
+        rows.setdefault("fvs_calibrate", []).append(errors(recording, poses, held))
         for method in solvers:
-            poses = by_opencv(one, some, method)
-            rows.setdefault(f"OpenCV {method.title()}", []).append(errors(one, poses, held))
-    print(f"  {one.name}; fitted {np.count_nonzero(some)}, held out {np.count_nonzero(held)}")
-    for name, off in rows.items():
-        each = zip(np.median(off, axis=0), off[0], ("mm", "deg", "px"), strict=False)
+            poses = by_opencv(recording, mask, method)
+            rows.setdefault(f"OpenCV {method.title()}", []).append(errors(recording, poses, held))
+    fitted, held = np.count_nonzero(mask), np.count_nonzero(held)
+    print(f"  {recording.name}; fitted {fitted}, held out {held}")
+    for name, by_split in rows.items():
+        each = zip(np.median(by_split, axis=0), by_split[0], ("mm", "deg", "px"), strict=False)
         print(
             f"    {name:<20}", *(f"{half:7.2f} ({first:.2f}) {unit}" for half, first, unit in each)
         )
-    if not one.data.still:
+    if not recording.data.still:
         print(f"    images stamped {1e3 * delay_s:.1f} ms late by fvs_calibrate")
 
 
 def justin(folder):
     """Chains of a humanoid's two arms from still poses, without a model."""
-    words = re.split(r"\n(?=\d+,\[)", (folder / "measurements.csv").read_text())[1:]
-    table = np.array([re.findall(r"-?\d\.\d*(?:e[+-]\d+)?", one) for one in words], float)
+    lines = re.split(r"\n(?=\d+,\[)", (folder / "measurements.csv").read_text())[1:]
+    table = np.array([re.findall(r"-?\d\.\d*(?:e[+-]\d+)?", line) for line in lines], float)
     # The torso's fourth joint is no column: it turns back what the second and the third turn.
     torso = np.column_stack([table[:, :3], -table[:, 1] - table[:, 2]])
     for name, arm, marker in (("right", slice(3, 10), 19), ("left", slice(10, 17), 22)):
-        joints, seen_m = np.hstack([torso, table[:, arm]]), table[:, marker : marker + 3]
+        joints, marker_m = np.hstack([torso, table[:, arm]]), table[:, marker : marker + 3]
         means, k = [], np.arange(len(table))
-        for some in splits(len(table)):
-            data = DataSet(k[some] * 1.0, joints[some], seen_m[some], k[some], still=True)
-            off_m = fit_chain(data).chain.position(joints[~some]) - seen_m[~some]
-            means.append(1e3 * np.linalg.norm(off_m, axis=1).mean())
-        print(f"  {name} arm, mean of {np.count_nonzero(~some)}: {np.median(means):.2f} mm")
+        for mask in splits(len(table)):
+            data = DataSet(k[mask] * 1.0, joints[mask], marker_m[mask], k[mask], still=True)
+            error_m = fit_chain(data).chain.position(joints[~mask]) - marker_m[~mask]
+            means.append(1e3 * np.linalg.norm(error_m, axis=1).mean())
+        print(f"  {name} arm, mean of {np.count_nonzero(~mask)}: {np.median(means):.2f} mm")
 
 
 NOTES = {
@@ -296,7 +302,8 @@ def main():
             print(f"{name} skipped: there is no folder {folder / name}")
             continue
         print(f"{name}: {NOTES[name]}", flush=True)
-        for one in read(folder / name) or ():
-            compare(one, np.ones(len(one.data), bool))
-            if np.any(one.wrong):
-                compare(one._replace(name="without poses 25 and 26, which are wrong"), ~one.wrong)
+        for recording in read(folder / name) or ():
+            compare(recording, np.ones(len(recording.data), bool))
+            if np.any(recording.wrong):
+                right = recording._replace(name="without poses 25 and 26, which are wrong")
+                compare(right, ~recording.wrong)

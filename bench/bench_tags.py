@@ -35,40 +35,42 @@ def bound_deg(rotation, position_m):
     moved = [
         corners_px(cv2.Rodrigues(step[3:])[0] @ rotation, position_m + step[:3]) for step in steps
     ]
-    slopes = np.array([(one - corners_px(rotation, position_m)).ravel() / 1e-6 for one in moved])
+    slopes = np.array(
+        [(corners - corners_px(rotation, position_m)).ravel() / 1e-6 for corners in moved]
+    )
     return float(np.degrees(np.trace(np.linalg.inv(slopes @ slopes.T)[3:, 3:]) ** 0.5))
 
 
-def angle_deg(one, other):
-    return float(np.degrees(np.linalg.norm(cv2.Rodrigues(one.T @ other)[0])))
+def angle_deg(rotation, true):
+    return float(np.degrees(np.linalg.norm(cv2.Rodrigues(rotation.T @ true)[0])))
 
 
 def drawn(rng):
     reader, finder = TagReader(TAG), PoseFinder(TAG)
-    off_px, errors, spent_ms, unread, unsure, wrong = [], [], [], 0, 0, 0
+    errors_px, errors, spent_ms, unread, unsure, wrong = [], [], [], 0, 0, 0
     for k in range(IMAGES):
         pose = random_pose(rng, 1.2)
         grey = draw([(0, *pose)], rng=rng)[..., 0].copy()
         begin_s = time.perf_counter()
-        found, _ = reader.find(grey)
+        corners, _ = reader.find(grey)
         spent_ms.append(1e3 * (time.perf_counter() - begin_s))
-        if not found:
+        if not corners:
             unread += 1
             continue
-        off_px.append(found[0].px - corners_px(*pose))
-        seen, _ = finder.find(float(k), found, VGA)
-        if seen is None:
+        errors_px.append(corners[0].px - corners_px(*pose))
+        tag, _ = finder.find(float(k), corners, VGA)
+        if tag is None:
             unsure += 1
             continue
-        angle = angle_deg(seen.rotation, pose[0])
+        angle = angle_deg(tag.rotation, pose[0])
         wrong += angle > 5.0
-        errors.append((1e3 * np.linalg.norm(seen.position_m - pose[1]), angle))
+        errors.append((1e3 * np.linalg.norm(tag.position_m - pose[1]), angle))
     print(f"{IMAGES} drawn tags of {1e3 * SIZE_M:g} mm, 0.4 to 1.2 m away, tilted by up to 69 deg")
-    print(f"  corners, rms           {np.sqrt(np.square(off_px).mean()):7.3f} px")
+    print(f"  corners, rms           {np.sqrt(np.square(errors_px).mean()):7.3f} px")
     print(f"  finding the corners    {spread(spent_ms, 'ms')}")
     print(f"  unread {unread}, two poses fit {unsure}, wrong {wrong}")
-    place_mm, angle = np.median(errors, axis=0)
-    print(f"  pose, median error     {place_mm:7.2f} mm {angle:.2f} deg", flush=True)
+    position_mm, angle = np.median(errors, axis=0)
+    print(f"  pose, median error     {position_mm:7.2f} mm {angle:.2f} deg", flush=True)
 
 
 def projected(rng, noise_px):
@@ -76,12 +78,12 @@ def projected(rng, noise_px):
     for k in range(10 * IMAGES // 4):
         pose = random_pose(rng, 1.2)
         px = corners_px(*pose) + rng.normal(0.0, noise_px, (4, 2))
-        seen, _ = finder.find(float(k), {0: Corners(px, noise_px**2 * np.eye(8))}, VGA)
-        if seen is None:
+        tag, _ = finder.find(float(k), {0: Corners(px, noise_px**2 * np.eye(8))}, VGA)
+        if tag is None:
             unsure += 1
         else:
             limit_deg = max(5.0, 10.0 * noise_px * bound_deg(*pose))
-            wrong += angle_deg(seen.rotation, pose[0]) > limit_deg
+            wrong += angle_deg(tag.rotation, pose[0]) > limit_deg
     share = unsure / (10 * IMAGES // 4)
     print(f"  noise of {noise_px:.2f} px: two poses fit {share:6.1%}, wrong {wrong}", flush=True)
 
@@ -91,7 +93,7 @@ def photographed(folder):
     from pupil_apriltags import Detector
 
     other, readers = Detector(families="tag36h11", quad_decimate=1.0), {}
-    count, off_px = 0, []
+    count, errors_px = 0, []
     for path in sorted(Path(folder).rglob("*")):
         grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
         for theirs in [] if grey is None else other.detect(grey):
@@ -99,20 +101,20 @@ def photographed(folder):
                 continue
             number, count = theirs.tag_id, count + 1
             reader = readers.setdefault(number, TagReader(Tag(tag_id=number)))
-            found, _ = reader.find(grey)
-            if not found:
+            corners, _ = reader.find(grey)
+            if not corners:
                 continue
             # Theirs begin elsewhere, and count from the pixels' corners instead of the middles.
-            turns = (
-                np.roll(theirs.corners[::way] - 0.5, k, 0) for k in range(4) for way in (1, -1)
+            orders = (
+                np.roll(theirs.corners[::step] - 0.5, k, 0) for k in range(4) for step in (1, -1)
             )
-            off = min((found[number].px - one for one in turns), key=np.linalg.norm)
-            if np.abs(off).max() < 5.0:  # else another tag of the same number
-                off_px.append(np.sqrt(np.square(off).mean()))
-    half, most = np.percentile(off_px, [50, 90])
-    rms = np.sqrt(np.square(off_px).mean())
+            apart = min((corners[number].px - order for order in orders), key=np.linalg.norm)
+            if np.abs(apart).max() < 5.0:  # else another tag of the same number
+                errors_px.append(np.sqrt(np.square(apart).mean()))
+    half, most = np.percentile(errors_px, [50, 90])
+    rms = np.sqrt(np.square(errors_px).mean())
     print(
-        f"{count} tags, wide enough, in photographs by AprilTag's detector, {len(off_px)} by ours"
+        f"{count} wide enough tags in photographs by AprilTag's detector, {len(errors_px)} by ours"
     )
     print(f"  corners apart          rms {rms:.3f} px; half {half:.3f} px, 90 % {most:.3f} px")
 
