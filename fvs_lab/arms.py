@@ -141,7 +141,7 @@ TABLES = (
     lab.TableOf(
         "arms",
         ("arm", "joints"),
-        ("learned:half", "settled:of", "over_5mm", "final_rms_m:half"),
+        ("learned:half", "settled:of", "over_5mm"),
     ),
 )
 

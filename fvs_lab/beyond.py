@@ -227,7 +227,7 @@ TABLES = (
     lab.TableOf(
         "races",
         ("scheme",),
-        ("over_5mm", "over_5mm:90 %", "jitter_rad_s:half", "settled:of"),
+        ("over_5mm", "jitter_rad_s:half", "settled:of"),
         {"part": "race"},
     ),
     lab.TableOf(

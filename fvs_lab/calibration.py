@@ -10,14 +10,14 @@ from typing import Any
 import cv2
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.stats import chi2
 
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.collecting import CollectorConfig
 from fvs_estimator_node.files import DataSet
 from fvs_lab import experiment as lab
-from fvs_lab import figures as draw
 from fvs_lab.arms import collect
-from fvs_lab.results import Results
+from fvs_lab.results import METRICS, Results
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
@@ -30,28 +30,15 @@ from fvs_tools.hand_eye_model import HandEyeModel, Unknowns, registration
 
 #: Duration of the motion, s.
 MOTION_S = 60.0
-#: Errors of the joints' zeros, degrees, of random sign.
-ZEROS_DEG = (0.0, 1.0)
+#: Largest errors, m and degrees, by the size of the errors of the joints' zeros, degrees.
+LIMITS = {0.0: (0.001, 0.1), 1.0: (0.003, 0.3)}
 #: Poses that are taught for the classic solvers, and the board that they see.
 TAUGHT, BOARD = 20, Tag(tag_size_m=0.075, tag_layout="plate")
-#: Our schemes, and the classic ones.
-FEATURES = (Ball.name, Pose.name)
-MOTION = tuple(f"motion, {feature}" for feature in FEATURES)
-LEAST_SQUARES = "least squares with zeros"
-SOLVERS = {
-    "Tsai": cv2.CALIB_HAND_EYE_TSAI,
-    "Park": cv2.CALIB_HAND_EYE_PARK,
-    "Horaud": cv2.CALIB_HAND_EYE_HORAUD,
-    "Andreff": cv2.CALIB_HAND_EYE_ANDREFF,
-    "Daniilidis": cv2.CALIB_HAND_EYE_DANIILIDIS,
-}
+#: OpenCV's, by their authors.
+SOLVERS = ("Tsai", "Park", "Horaud", "Andreff", "Daniilidis")
 #: Python lacks it in OpenCV 5.0.0, by a fault of the binding that is mended upstream (pull request
 #: 29584); without it, the solvers have no rows.
 _SOLVE: Any = getattr(cv2, "calibrateHandEye", None)
-#: Largest errors, m and degrees, by the size of the zeros' errors.
-LIMITS = {0.0: (0.001, 0.1), 1.0: (0.003, 0.3)}
-#: Quantile of chi squared with six degrees of freedom, for 95 %.
-_ELLIPSOID = 12.592
 
 
 @lru_cache(maxsize=1)
@@ -98,12 +85,12 @@ def by_motion(task: tuple[int, str, float]) -> list[dict[str, Any]]:
     )
     data = collect(simulation, config)
     rows = []
-    for size_deg in ZEROS_DEG:
+    for size_deg in LIMITS:
         zeros = zeros_rad(seed, size_deg)
         estimate = calibrate(replace(data, joints_rad=data.joints_rad - zeros), arm())
         pose = estimate.base_from_camera
         error = errors(simulation, zeros, pose[:3, :3], pose[:3, 3])
-        inside = bool(error @ np.linalg.solve(estimate.covariance, error) < _ELLIPSOID)
+        inside = bool(error @ np.linalg.solve(estimate.covariance, error) < chi2.ppf(0.95, 6))
         rows.append(_row(f"motion, {feature}", size_deg, error, seed=seed, inside=inside))
     return rows
 
@@ -122,16 +109,17 @@ def by_solvers(seed: int) -> list[dict[str, Any]]:
             joints.append(drawn)
             boards.append((Pose().rotation(z), z[:3]))
     rows = []
-    for size_deg in ZEROS_DEG:
+    for size_deg in LIMITS:
         zeros = zeros_rad(seed, size_deg)
         reported = np.array(joints) - zeros
         error = errors(simulation, zeros, *least_squares_pose(reported, boards))
-        rows.append(_row(LEAST_SQUARES, size_deg, error, seed=seed))
+        rows.append(_row("least squares with zeros", size_deg, error, seed=seed))
         # The solvers are for a camera in the hand; for one beside it, the base moves as the tip
         # sees it.
         tip_from_base, tips_m = arm().tip_at(reported)
         bases_m = [-rot @ tip_m for rot, tip_m in zip(tip_from_base, tips_m, strict=True)]
-        for name, method in SOLVERS.items() if _SOLVE else ():
+        for name in SOLVERS if _SOLVE else ():
+            method = getattr(cv2, f"CALIB_HAND_EYE_{name.upper()}")
             rotation, position_m = _SOLVE(
                 list(tip_from_base), bases_m, *map(list, zip(*boards, strict=True)), method=method
             )
@@ -172,7 +160,7 @@ def measure(context: lab.Context) -> Results:
     """Calibrate by motion and by taught poses, with many seeds."""
     seeds = range(1, 1 + context.count(20))
     duration_s = 8.0 if context.quick else MOTION_S
-    features = FEATURES[: 1 if context.quick else None]
+    features = context.first((Ball.name, Pose.name), 1)
     tasks = [(seed, feature, duration_s) for feature in features for seed in seeds]
     motion = context.map(by_motion, tasks, "motion")
     taught = context.map(by_solvers, seeds, "taught poses")
@@ -181,21 +169,17 @@ def measure(context: lab.Context) -> Results:
 
 def claims(runs: Results) -> Iterator[lab.Claim]:
     """Accuracy, honesty, and the classic solvers."""
-    motion = runs.those(lambda row: row["scheme"] in MOTION)
+    motion = runs.those(lambda row: "inside" in row)
+    taught = runs.those(lambda row: "inside" not in row)
     for zeros_deg, (position_m, angle_deg) in LIMITS.items():
         group = motion.where(zeros_deg=zeros_deg)
         good = [row["position_m"] < position_m and row["angle_deg"] < angle_deg for row in group]
         yield lab.ours("exact" if zeros_deg == 0.0 else "zeros", lab.kept("runs", good, 1.0))
-        others = runs.where(zeros_deg=zeros_deg).groups("scheme")
+        rivals = taught.where(zeros_deg=zeros_deg).groups("scheme").values()
         parts = []
-        for column, label, factor in (
-            ("position_m", "position, mm", 1e3),
-            ("angle_deg", "angle, °", 1.0),
-        ):
-            medians = [
-                rival.median(column).value for name, rival in others.items() if name not in MOTION
-            ]
-            parts.append(lab.below(label, group.median(column), min(medians), factor))
+        for column in ("position_m", "angle_deg"):
+            least, metric = min(rival.median(column).value for rival in rivals), METRICS[column]
+            parts.append(lab.below(metric.label, group.median(column), least, metric.factor))
         yield lab.ours("solvers", *parts, zeros=zeros_deg)
     yield lab.ours("honest", lab.kept("runs", motion.values("inside"), 0.9))
 
@@ -216,14 +200,4 @@ TABLES = (
 )
 
 
-def figures(runs: Results) -> Iterator[lab.Drawn]:
-    """Errors of position and angle, a dot per seed."""
-    figure, axes = draw.grid(2, 2, (12.0, 7.0), sharey="row")
-    for row, group in zip(axes, runs.groups("zeros_deg").values(), strict=True):
-        for axis, column in zip(row, ("position_m", "angle_deg"), strict=True):
-            draw.dots_of(axis, group, "scheme", column)
-            axis.set_xscale("log")
-    yield "errors", figure, {}
-
-
-EXPERIMENT = lab.Experiment("calibration", measure, claims, TABLES, globals(), figures)
+EXPERIMENT = lab.Experiment("calibration", measure, claims, TABLES, globals())

@@ -185,6 +185,7 @@ METRICS = {
     "jacobian_error": Metric("Jacobian error, %", 1e2, 1),
     "learned": Metric("Jacobian error, %", 1e2, 3),
     "pace": Metric("own pace"),
+    "speed_m_s": Metric("speed, m/s"),
     "rest_m": Metric("final position, mm", 1e3),
     "rest_deg": Metric("final angle, °", 1.0, 3),
     "rms_m": Metric("distance from the target, mm rms", 1e3),

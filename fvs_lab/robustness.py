@@ -165,7 +165,7 @@ TABLES = (
     lab.TableOf(
         "schemes",
         ("scheme",),
-        ("settled:of", "to_5mm_s:half", "to_5mm_s:90 %", "failure:causes"),
+        ("settled:of", "to_5mm_s:half", "to_5mm_s:90 %", "final_rms_m:half", "failure:causes"),
     ),
 )
 EXPERIMENTS = {
