@@ -150,7 +150,7 @@ MUTANTS = (
     Mutant("a message with a non-finite value", "BAD_INPUT", "a joint is not a number", _ZEROS),
     Mutant("held for more", "HELD_LONG", "silent for long", _ASKED),
     Mutant("another node commands", _SHARED, "another node commands", _ASKED),
-    Mutant("messages whose stamps", _STAMPS, "stamps freeze", _FRESH),
+    Mutant("stamps that do not advance", _STAMPS, "stamps freeze", _FRESH),
     Mutant("always", disregards(max_joint_velocity_rad_s=1.5), "arrives", "velocity limit"),
     Mutant("always", disregards(max_joint_acceleration_rad_s2=9.0), "arrives", _SUDDEN),
     Mutant("always", _RAMP, "inputs fall silent", "only slower"),
@@ -163,14 +163,14 @@ MUTANTS = (
     Mutant("the error grows", "STALLED", "a target out of reach", _STALLED),
     Mutant("the error grows", "OSCILLATING", "the ball swings", "a swing is held"),
     Mutant("the image does not follow", "IMAGE_NOT_FOLLOWING", "the image freezes", _FROZEN),
-    Mutant("a joint does not make", "NOT_FOLLOWING", "the arm is stuck", _STUCK),
+    Mutant("a joint does not follow", "NOT_FOLLOWING", "the arm is stuck", _STUCK),
     Mutant("the robot program stopped", "PROGRAM_STOPPED", "the program stops", _ZEROS),
     Mutant("the robot program stopped", "SPEED_SCALING_ZERO", "the slider is at zero", _ZEROS),
 )
 #: Rows that a process and its wires keep, not the loop: row -> the tests that guard it.
 ELSEWHERE = {
     "a message or request": "test/faults/test_fuzz_messages.py",
-    "Ctrl-C, any catchable": "test/faults/test_hostile_terminal.py",
+    "any catchable signal": "test/faults/test_hostile_terminal.py",
 }
 
 

@@ -260,9 +260,9 @@ class World:
         return math.inf if jacobian is None else np.linalg.svd(jacobian, compute_uv=False)[-1]
 
     def send_chain(self, message):
-        """Send a kinematic chain: it counts as a Jacobian."""
-        chain = _read(ros.from_chain, message, self.joints.size)
-        self._note(JACOBIAN, None if chain is None else 0.0)
+        """Send a kinematic chain: only one that cannot be read counts."""
+        if _read(ros.from_chain, message, self.joints.size) is None:
+            self._note(JACOBIAN, None)
         self.node._on_chain(message)
 
     def send_program(self, running):

@@ -150,6 +150,7 @@ class Goal:
         if self.target is not None and self._outside(self.target):
             self.target = self._last = None
             self._motion.restart()
+            self.progress = Progress()  # the next target is another task, wherever it is
 
     def _refusal(self, target: np.ndarray, frame: str) -> str:
         """Why a target, (m,), is not accepted in this frame; empty if it is."""

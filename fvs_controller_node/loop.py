@@ -145,9 +145,11 @@ class ServoLoop:
             self._chain, self._jacobian = None, np.array(jacobian, dtype=float)
 
     def add_chain(self, now_s: float, chain: SerialChain) -> None:
-        """Take the arm as the camera sees it now, and its arrival; it gives the Jacobian, too."""
+        """Take the arm as the camera sees it now, and its arrival; it gives the Jacobian.
+
+        The Jacobian that comes with it counts as the message.
+        """
         self._chain, self._chain_s = chain, now_s
-        self.supervisor.inputs[JACOBIAN].good(now_s)
 
     # ---- the target ---------------------------------------------------------------------------
 

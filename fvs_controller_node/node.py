@@ -57,7 +57,8 @@ class ControllerNode(ros.FvsNode):
         self._loop = ServoLoop(v)
         self._kind = self._loop.kind
         self._stamp_s: float | None = None
-        self._heard_target: tuple | None = None
+        #: The last samples of targets, of all publishers together.
+        self._heard_targets = deque[tuple]([()], maxlen=16)
         self._heard_target_s = -np.inf
         self._refusal = ""
         self._conflicting = ""
@@ -154,8 +155,10 @@ class ControllerNode(ros.FvsNode):
         # Latched samples arrive twice, and again whenever the publisher is rediscovered: they must
         # not undo a newer target. Without a stamp (`ros2 topic pub`) only an immediate echo counts.
         soon = now_s - self._heard_target_s < _TARGET_ECHO_S
-        again = heard == self._heard_target and (stamp_s != 0.0 or soon)
-        self._heard_target, self._heard_target_s = heard, now_s
+        targets = self._heard_targets
+        again = heard in targets if stamp_s != 0.0 else soon and heard == targets[-1]
+        targets.append(heard)
+        self._heard_target_s = now_s
         if again:
             return
         accepted, text = self._loop.add_target(target, frame, stamp_s)

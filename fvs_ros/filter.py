@@ -122,10 +122,13 @@ class PathFilter:
         The path at the newest image, m.
     moved_m : ndarray, shape (d,)
         What the joints had moved by then, m.
+    jumps : int
+        How often the path began anew, after a jump that no joint motion explains.
     """
 
     def __init__(self) -> None:
         self.noise = NoiseVariance()
+        self.jumps = 0
         self.restart()
 
     def restart(self) -> None:
@@ -161,7 +164,7 @@ class PathFilter:
             the outlier before it, where they agree.
         """
         if self.x is None:
-            return self._reinitialise(image)
+            return self._begin(image)
         motion = image.moved_m - self.moved_m
         self.moved_m = image.moved_m
         self.x = self.x + motion
@@ -186,7 +189,8 @@ class PathFilter:
             agreed = [before[0], image]
         elif len(self._outliers) < _REPEATS:
             return []
-        return self._reinitialise(*agreed)
+        self.jumps += 1
+        return self._begin(*agreed)
 
     def _agree(self, first_m: np.ndarray, second_m: np.ndarray, motion_m: np.ndarray) -> bool:
         """Whether two outliers in a row, m, (d,), agree: the camera or the tool was moved.
@@ -197,7 +201,7 @@ class PathFilter:
         apart_m = length(second_m - first_m)
         return apart_m <= OUTLIER * 2.0**0.5 * self.noise_m + 2.0 * length(motion_m)
 
-    def _reinitialise(self, *images: Image) -> list[Image]:
+    def _begin(self, *images: Image) -> list[Image]:
         image, self._outliers = images[-1], []
         self.x, self.moved_m = image.seen_m.copy(), image.moved_m
         for accepted in images:

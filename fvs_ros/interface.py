@@ -35,7 +35,7 @@ class CommandInterface(Parameters):
 
 
 class PositionPath:
-    """Joint positions that follow velocity commands, and never run away from the joints."""
+    """Joint positions that follow velocity commands, near the joints and within their range."""
 
     def __init__(self) -> None:
         self._position: np.ndarray | None = None
@@ -56,7 +56,11 @@ class PositionPath:
         start = joints_rad if self._position is None else self._position
         fast = limits.max_joint_velocity_rad_s * limits.share
         lead, step = _LEAD_S * fast, dt_s * fast
-        wanted = np.clip(start + dt_s * velocity, joints_rad - lead, joints_rad + lead)
-        # Back to within the lead, too, in steps that a driver takes.
+        # A drive goes on to its last position, even if the joint is stuck now: no further than the
+        # range, or than the joint, where that is beyond.
+        low = np.maximum(joints_rad - lead, np.minimum(joints_rad, limits.lower_rad))
+        high = np.minimum(joints_rad + lead, np.maximum(joints_rad, limits.upper_rad))
+        wanted = np.clip(start + dt_s * velocity, low, high)
+        # Back to within them, too, in steps that a driver takes.
         self._position = np.clip(wanted, start - step, start + step)
         return self._position

@@ -80,7 +80,7 @@ class CommandLimiter:
         allowed, slowed = self.slow_down(velocity, joints_rad, acceleration, room_s, pending_rad)
         active += [f"range of {limits.joint_names[joint]}" for joint in slowed]
         velocity = self._step_to(allowed, dt_s)
-        if velocity is not allowed:
+        if velocity is not allowed and (velocity != allowed).any():
             active.append("acceleration")
         self._take(self._held(velocity, joints_rad, pending_rad), dt_s)
         return active

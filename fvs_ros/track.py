@@ -102,6 +102,8 @@ class Track:
         self.latency_s = newest_s - stamp_s
         self.images += 1
         accepted = self.filter.add(self.newest)
+        # Of a jump, no motion step is made.
+        accepted = [image._replace(run=run + self.filter.jumps) for image in accepted]
         if accepted:
             self._accepted = accepted[-1]
         return accepted

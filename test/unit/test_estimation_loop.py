@@ -73,6 +73,10 @@ def test_a_camera_that_was_moved_is_told_from_its_first_image_on():
     off_m = np.linalg.norm(loop.estimator.balls, axis=1)
     moved = np.arange(off_m.size) * IMAGE_S > 2.0
     np.testing.assert_allclose(off_m, np.linalg.norm(AWAY_M) * moved, atol=2e-3)
+    # No step spans the jump, which no joint made.
+    assert len(loop.estimator.steps) > 40
+    for step in loop.estimator.steps:
+        np.testing.assert_allclose(step.d_feature_m, JACOBIAN @ step.d_joints_rad, atol=1e-4)
 
 
 def test_a_gap_makes_no_outlier_true():

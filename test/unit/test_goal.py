@@ -35,8 +35,14 @@ def test_a_target_that_a_new_box_dropped_does_not_come_back_by_itself():
     config = SupervisorConfig()
     goal = Goal(config)
     goal.set(THERE, FRAME)
+    for _ in range(100):
+        goal.see(THERE, DT_S, True)
     goal.configure(replace(config, workspace_max_m=(0.5, 1.0, 3.0)))
     assert goal.target is None
+    assert goal.set(HERE, FRAME)[0]  # another task: going there is no swing
+    for share in np.linspace(1.0, 0.0, 300):
+        goal.see(HERE + share * (THERE - HERE), DT_S, True)
+        assert goal.progress.check(config) is None
 
 
 def test_the_direction_of_rotation_is_not_that_of_another_task():
