@@ -12,12 +12,10 @@ import numpy as np
 from fvs_ros import topics
 from fvs_ros.status import SILENT, SILENT_S, number, vector
 
-#: Length of the curves and of the trail, s.
-HISTORY_S, TRAIL_S = 20.0, 6.0
+#: Length of the curves, s.
+HISTORY_S = 20.0
 #: Display time of the newest value by name, s.
 _SHOWN_S = {"feature": 0.5, "controller": SILENT_S, "detector": 2.0, "answer": 12.0}
-#: Least values on the logarithmic scales: error, mm, and ratio.
-_SMALLEST_MM, _SMALLEST_RATIO = 1e-3, 1e-4
 
 
 class Action(NamedTuple):
@@ -82,8 +80,8 @@ class Board:
         self.error_mm = Trace(HISTORY_S, 4)
         self.speed_rad_s = Trace(HISTORY_S, n_joints)
         self.ratio = Trace(HISTORY_S, 1)
-        #: Where the feature was, camera frame, m.
-        self.trail_m = Trace(TRAIL_S, 3)
+        #: Where the feature was in the last 6 s, camera frame, m.
+        self.trail_m = Trace(6.0, 3)
         #: Frame and pose in it, (4, 4), m, of the camera; None while not known.
         self.camera: tuple[str, np.ndarray] | None = None
         #: Parameters of the other nodes, by node; empty for one that does not run.
@@ -109,10 +107,9 @@ class Board:
         self.note("controller", now_s, controller)
         if controller.target_m is not None and controller.position_m is not None:
             parts_m = [controller.error_m, *(controller.target_m - controller.position_m)]
-            self.error_mm.add(now_s, np.maximum(1e3 * np.abs(parts_m), _SMALLEST_MM))
+            self.error_mm.add(now_s, 1e3 * np.abs(parts_m))
         if self.newest("feature", now_s) is not None:
-            ratio = controller.number("prediction_error_ratio")
-            self.ratio.add(now_s, np.maximum([ratio], _SMALLEST_RATIO))
+            self.ratio.add(now_s, np.array([controller.number("prediction_error_ratio")]))
 
     def newest(self, name: str, now_s: float) -> Any:
         """The newest value of a name; None if there is none or it is too old."""

@@ -34,12 +34,7 @@ from fvs_ros.ros.images import from_color, sampled_camera
 from fvs_ros.ros.services import Services
 from fvs_tools.demo import choose_target
 
-_PERIOD_S, _LOOK_PERIOD_S = 0.1, 1.0
-#: Largest rotation of a bump about x, y and z, degrees; larger ones about x and y lose the ball.
-_BUMP_DEG = (4.0, 4.0, 25.0)
-_ROTATION = "camera_rotation_deg"
-#: Time for each target of the tour, s, and distance between targets, m.
-_TARGET_S, _TOUR_M = 5.0, 0.3
+_CAMERA_ROTATION = f"{topics.SIM}/camera_rotation_deg"
 #: Parameters that the page shows.
 _ASKED = {
     topics.CONTROLLER: ("law", "max_joint_velocity_rad_s"),
@@ -59,7 +54,7 @@ class DashboardNode(ros.FvsNode):
         self._kind = self._config.kind
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._board = Board(len(self._joint_map.names))
-        self._picture = Picture(self._config.ball_radius_m)
+        self._picture = Picture()
         self._actions: SimpleQueue[Action] = SimpleQueue()
         # Actions trigger a callback: polling at 30 Hz took 3 % of a core.
         self._wake = self.create_guard_condition(self._act)
@@ -77,8 +72,8 @@ class DashboardNode(ros.FvsNode):
         self._rng = np.random.default_rng()
         self._subscribe()
         self._page = _make_page(self._config, v["joint_names"], self._put)
-        self.create_timer(_PERIOD_S, self._show, clock=self.steady_clock)
-        self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
+        self.create_timer(0.1, self._show, clock=self.steady_clock)
+        self.create_timer(1.0, self._look_around, clock=self.steady_clock)
         print(f"page: {self._page.address}", flush=True)
         if self._page.open_to_others:
             self.tell(
@@ -119,7 +114,6 @@ class DashboardNode(ros.FvsNode):
         kind, frame = self._kind, self._config.feature_frame
         z = ros.from_feature(message, kind, frame, kind.topics.tool.name)
         self._board.add_feature(self.steady_s(), z)
-        self._picture.add_feature(ros.from_stamp(message.header.stamp), z[:3])
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         controller = Controller(ros.from_status(message), message.message)
@@ -153,18 +147,18 @@ class DashboardNode(ros.FvsNode):
         self._board.camera = frame, pose
 
     def _on_transforms(self, message: Any) -> None:
-        for one in message.transforms:
-            if one.child_frame_id == self._config.feature_frame:
-                stamped = PoseStamped(header=one.header)
-                at, shift = stamped.pose.position, one.transform.translation
+        for each in message.transforms:
+            if each.child_frame_id == self._config.feature_frame:
+                stamped = PoseStamped(header=each.header)
+                at, shift = stamped.pose.position, each.transform.translation
                 at.x, at.y, at.z = shift.x, shift.y, shift.z
-                stamped.pose.orientation = one.transform.rotation
+                stamped.pose.orientation = each.transform.rotation
                 self._on_camera_pose(stamped)
 
     def _on_image(self, message: Image) -> None:
         stamp_s = ros.from_stamp(message.header.stamp)
         exposed_s = self.steady_s() - max(self.ros_s() - stamp_s, 0.0)
-        self._picture.add_image(exposed_s, stamp_s, from_color(message))
+        self._picture.add_image(exposed_s, from_color(message))
 
     def _on_camera_info(self, message: CameraInfo) -> None:
         self._picture.intrinsics = ros.from_camera_info(message).intrinsics
@@ -227,12 +221,13 @@ class DashboardNode(ros.FvsNode):
         elif name == "reset":
             self._calls.stop()
             if self._board.parameters.get(topics.SIM):
-                self._calls.set(f"{topics.SIM}/{_ROTATION}", (0.0, 0.0, 0.0))
+                self._calls.set(_CAMERA_ROTATION, (0.0, 0.0, 0.0))
                 self._calls.call(f"{topics.SIM}/reset")
             self._calls.call(f"{topics.ESTIMATOR}/reset")
         elif name == "bump":
-            turns_deg = np.multiply(_BUMP_DEG, self._rng.uniform(-1.0, 1.0, 3))
-            self._calls.set(f"{topics.SIM}/{_ROTATION}", tuple(turns_deg.tolist()))
+            largest_deg = np.array([4.0, 4.0, 25.0])  # more about x and y would lose the ball
+            rotation_deg = self._rng.uniform(-largest_deg, largest_deg)
+            self._calls.set(_CAMERA_ROTATION, tuple(rotation_deg.tolist()))
         elif name == "tour":
             self._board.tour, self._tour_due_s = action.value, -inf
         elif "/" in name:
@@ -260,13 +255,12 @@ class DashboardNode(ros.FvsNode):
         if len(wxyz):
             rotation = Rotation.from_quat(np.roll(wxyz, -1)).as_matrix()
             return self._kind.of_body(position_m, rotation)
-        if self._kind.flat:
-            return position_m
-        now_s = self.steady_s()
-        last = self._board.newest("target", now_s)
-        if last is None:
-            last = self._board.newest("feature", now_s)
-        return None if last is None else np.append(position_m, last[3:])
+        now_s, last = self.steady_s(), position_m
+        for name in ("feature", "target"):
+            newest = self._board.newest(name, now_s)
+            last = last if newest is None else newest
+        target = np.append(position_m, last[3:])
+        return target if len(target) == self._kind.numbers else None
 
     def _answer(self, text: str) -> None:
         self._board.note("answer", self.steady_s(), text)
@@ -280,8 +274,8 @@ class DashboardNode(ros.FvsNode):
         controller = self._board.controller(now_s)
         ready = controller.state == "SERVOING" or controller.reason == "NO_TARGET"
         if z is not None and ready:
-            self._tour_due_s = now_s + _TARGET_S
-            target = choose_target(self._kind, self._candidates, z, _TOUR_M, self._rng)
+            self._tour_due_s = now_s + 5.0
+            target = choose_target(self._kind, self._candidates, z, 0.3, self._rng)
             self._send_target(target)
 
     def finish(self) -> None:

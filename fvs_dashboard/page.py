@@ -24,12 +24,6 @@ from fvs_dashboard.scene import LEGEND, Scene
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros import topics
 
-#: The left panel is drawn every third time: its curves are long and change slowly.
-_SELDOM = 3
-_STOP_S = 0.8
-_LEFT_PX, _RIGHT_PX = 400, 350
-#: The first look's field of view from top to bottom, rad.
-_FIELD_RAD = 0.8
 _UNKNOWN = "the camera's pose is unknown: the arm is not drawn; calibrate (fvs_launch calibrate)"
 
 
@@ -67,7 +61,7 @@ class Page:
             dark_mode=True, show_logo=False, show_share_button=False, brand_color=(0, 114, 178)
         )
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(_RIGHT_PX)
+        gui.main_panel.set_width(350)
         self._panel = Panel(gui, act, tour=config.tour or bool(config.model_path))
         curves = gui.add_panel()
         with curves.add_tab("Curves", viser.Icon.CHART_LINE):
@@ -76,12 +70,12 @@ class Page:
             gui.add_html(markup.legend_html(LEGEND))
             self._note = gui.add_html("")
         curves.dock_left()
-        curves.set_width(_LEFT_PX)
+        curves.set_width(400)
         self.scene = Scene(server, config.ball_radius_m, config.kind, self._dragged)
         # Behind the simulator's camera, so that view and picture have the same orientation.
         server.initial_camera.position = (2.9, -1.05, 1.4)
         server.initial_camera.look_at = (0.6, -0.3, 0.42)
-        server.initial_camera.fov = _FIELD_RAD
+        server.initial_camera.fov = 0.8
         self._shown = 0
 
     def _dragged(self, target: tuple[float, ...]) -> None:
@@ -111,7 +105,7 @@ class Page:
             self._panel.update(board, now_s, image, camera.words(now_s))
             self.scene.update(board, now_s)
             self.scene.show_picture(camera.field_of_view, image)
-            if self._shown % _SELDOM == 0:
+            if self._shown % 3 == 0:  # the curves are long and change slowly
                 self._charts.update(board, now_s)
                 tool = self._kind.topics.tool.name
                 self._inputs.content = markup.inputs_html(board, tool, now_s)
@@ -120,7 +114,7 @@ class Page:
         self._shown += 1
 
     def close(self) -> None:
-        """Stop serving; a browser that does not answer is not waited for."""
+        """Stop serving; a browser that does not answer is not waited for long."""
 
         def stop() -> None:
             with _quiet():
@@ -128,14 +122,14 @@ class Page:
 
         thread = threading.Thread(target=stop, daemon=True)
         thread.start()
-        thread.join(_STOP_S)
+        thread.join(0.8)
 
 
 def _check_free(host: str, port: int) -> None:
     """Refuse a port that is taken: viser would quietly take the next one."""
     try:
-        found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM)
-        family, kind, protocol, _, address = found[0]
+        addresses = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = addresses[0]
         with socket.socket(family, kind, protocol) as trial:
             trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             trial.bind(address)
@@ -155,12 +149,6 @@ def _quiet() -> contextlib.redirect_stdout:
 
 #: Time that a user's input is not overwritten, s; longer for numbers that need a button press.
 _SET_S, _TYPED_S = 4.0, 60.0
-#: Period of the heartbeat to the browser, s.
-_BEAT_S = 1.0
-_SIGNS = (
-    ("○", picture.BALL_RGB, "ball found"),
-    ("+", picture.TARGET_RGB, "target"),
-)
 
 
 class Panel:
@@ -192,7 +180,7 @@ class Panel:
         bump = self._button("Bump the camera", "bump", color="gray", hint=hint)
         self._words = gui.add_html("")
         self._picture = gui.add_image(picture.BLANK, format="jpeg", jpeg_quality=75)
-        gui.add_html(markup.legend_html(_SIGNS))
+        gui.add_html(markup.legend_html([("+", picture.TARGET_RGB, "target")]))
         simulator = gui.add_folder("Simulator: disturb it", expand_by_default=False)
         with simulator:
             hint = "Times the depth camera's own noise."
@@ -249,7 +237,7 @@ class Panel:
 
     def update(self, board: Board, now_s: float, image: np.ndarray | None, words: str) -> None:
         """Show a moment, with a new picture if there is one, and words about the picture."""
-        if now_s - self._beat_s > _BEAT_S:
+        if now_s - self._beat_s > 0.2 * markup.LOST_S:  # a heartbeat to the browser
             self._beat_s, self._beats = now_s, self._beats + 1
             self._alive.content = markup.alive_html(self._beats)
         controller = board.controller(now_s)
@@ -283,12 +271,6 @@ class Panel:
 
 
 # --- the curves ---
-
-#: Three of them and the inputs fit a window of 768 pixels.
-_HEIGHT_PX = 118
-#: Samples that are further apart are not joined by a line, s: viser's charts know no gaps.
-_GAP_S = 1.5
-_NUDGE_S = 1e-6
 
 
 def _series(label: str, colour: str, width: float = 1.5) -> uplot.Series:
@@ -350,13 +332,13 @@ class Charts:
             axes=axes,
             legend={"show": True, "live": False},
             cursor={"drag": {"x": False, "y": False}},
-            height=_HEIGHT_PX,
+            height=118,  # three of them and the inputs fit a window of 768 pixels
             padding=(8, 10, 0, 0),
         )
 
     def update(self, board: Board, now_s: float) -> None:
         """Draw the newest curves."""
-        self._nudge_s = _NUDGE_S - self._nudge_s
+        self._nudge_s = 1e-6 - self._nudge_s
         limit_rad_s = board.speed_limit_rad_s
         if isfinite(limit_rad_s) and limit_rad_s != self._limit_rad_s:
             self._limit_rad_s = limit_rad_s  # a new scale rebuilds the chart
@@ -372,8 +354,8 @@ class Charts:
         The browser keeps the zoom relative to the span, so the span is constant. It redraws the
         axes only if the range changes, so the range changes by an invisible amount.
         """
-        gaps = np.flatnonzero(np.diff(window[:, 0]) > _GAP_S)
+        gaps = np.flatnonzero(np.diff(window[:, 0]) > 1.5)
         window[: gaps[-1] + 1 if len(gaps) else 0, 1:] = nan  # a line would cross the gap
-        lines = [np.pad(one, 1, constant_values=nan) for one in window.T[1:]]
+        lines = [np.pad(column, 1, constant_values=nan) for column in window.T[1:]]
         times = np.concatenate(([self._nudge_s - HISTORY_S], window[:, 0], [0.0]))
         chart.data = (times, *lines, *(np.full(len(times), level) for level in levels))

@@ -28,11 +28,6 @@ LEGEND = (
     ("◉", _PREDICTED, "where it is now"),
     ("●", _TARGET, "target: drag it"),
 )
-_BAR = (204, 209, 217)
-#: Where the camera is drawn while its pose is unknown: 1.5 m from the arm, as high, looking at it.
-_UNKNOWN_CAMERA = np.array(
-    [[0.0, 0.0, -1.0, 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.4], [0.0, 0.0, 0.0, 1.0]]
-)
 #: Of the trail, from old to new: a fixed number, which the browser redraws cheaply.
 _TRAIL_COLOURS = np.linspace((60, 64, 72), _PREDICTED, 97)
 #: After a drag the target stays where it was dropped, until the controller has answered, s.
@@ -42,8 +37,8 @@ _DROPPED_S = 0.6
 class Scene:
     """The content of the 3-D view; the camera's measurements are shown in its frame.
 
-    ``on_drag`` gets the target's position, camera frame, m, and of a pose its quaternion, w first,
-    while it is dragged or turned and when let go.
+    ``on_drag`` gets the target's position, camera frame, m, and its quaternion, w first, while it
+    is dragged or rotated and when let go.
     """
 
     def __init__(
@@ -64,7 +59,9 @@ class Scene:
         self._camera = scene.add_frame(
             "/camera", axes_length=0.08, axes_radius=0.003, origin_radius=0.004
         )
-        _place(self._camera, _UNKNOWN_CAMERA)
+        # While its pose is unknown: level, looking to where the simulated arm stands.
+        level = [[0.0, 0.0, -1.0, 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.4], [0, 0, 0, 1]]
+        _set_pose(self._camera, np.array(level))
         look = {"scale": 0.14, "thickness": 0.004, "color": (190, 196, 208), "jpeg_quality": 70}
         self._frustum = scene.add_camera_frustum("/camera/view", 1.0, 1.0, **look)
         self._trail = self._add_lines("/camera/trail", _joined(_TRAIL_COLOURS), 3.0)
@@ -104,22 +101,23 @@ class Scene:
             "/camera/target",
             scale=0.16,
             line_width=3.0,
-            disable_rotations=self._kind.flat,
+            disable_rotations=True,
             depth_test=False,
             visible=False,
         )
         # Smaller than the ball, which hides it once it is there.
         scene.add_icosphere("/camera/target/ball", 0.6 * ball_radius_m, _TARGET, opacity=0.8)
-        if not self._kind.flat:
-            scene.add_frame("/camera/target/axes", axes_length=0.08, axes_radius=0.003)
+        self._target_axes = scene.add_frame(
+            "/camera/target/axes", axes_length=0.08, axes_radius=0.003, visible=False
+        )
 
         @self._target.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
             # In the page's thread; assignments of numbers alone.
             self._held_s = time.monotonic()
             if event.phase != "start":
-                wxyz = () if self._kind.flat else event.target.wxyz
-                self._on_drag(tuple(float(value) for value in (*event.target.position, *wxyz)))
+                numbers = (*event.target.position, *event.target.wxyz)
+                self._on_drag(tuple(float(number) for number in numbers))
 
     def set_arm(self, arm: Arm) -> None:
         """Show another robot, or the first."""
@@ -128,7 +126,7 @@ class Scene:
         self._arm, self._robot = arm, ViserUrdf(self._server, arm.urdf, root_node_name="/robot")
         if self._bars is not None:
             self._bars.remove()
-        colours = np.full((len(arm.names), 2, 3), _BAR)
+        colours = np.full((len(arm.names), 2, 3), (204, 209, 217))
         self._bars = self._add_lines("/robot/bars", colours, 12.0) if arm.missing else None
 
     def update(self, board: Board, now_s: float) -> None:
@@ -139,29 +137,26 @@ class Scene:
             if self._bars is not None:
                 self._bars.points, self._bars.visible = self._arm.bars(joints), True
         if self._arm is not None and board.camera is not None:
-            _place(self._camera, self._arm.in_root(*board.camera))
+            _set_pose(self._camera, self._arm.in_root(*board.camera))
             self._root.visible = True
         controller, z = board.controller(now_s), board.newest("feature", now_s)
         _put(self._ball, None if z is None else z[:3])
         _put(self._predicted, controller.position_m)
-        self._orient(self._axes, z)
+        rotation = None if z is None else self._kind.rotation(z)
+        if rotation is not None:
+            self._axes.wxyz = SO3.from_matrix(rotation).wxyz
+            self._target.disable_rotations, self._target_axes.visible = False, True
+        _put(self._axes, None if rotation is None else z[:3])
         if time.monotonic() - self._held_s > _DROPPED_S:
             _put(self._target, controller.target_m)
             target = board.newest("target", now_s)
-            self._orient(self._target, z if target is None else target)
+            wanted = rotation if target is None else self._kind.rotation(target)
+            if wanted is not None:
+                self._target.wxyz = SO3.from_matrix(wanted).wxyz
         trail_m = board.trail_m.window(now_s)[:, 1:]
         self._trail.visible = len(trail_m) > 1
         if len(trail_m) > 1:
             self._trail.points = _pieces(trail_m)
-
-    def _orient(self, node: viser.SceneNodeHandle, z: np.ndarray | None) -> None:
-        """Orient a node as the feature is, and put its own axes to it."""
-        axes = np.zeros((0, 3)) if z is None else self._kind.directions(z)
-        if z is None or len(axes) < 3:
-            return
-        node.wxyz = SO3.from_matrix(axes.T / np.linalg.norm(axes, axis=1)).wxyz
-        if node is self._axes:
-            _put(node, z[:3])
 
     def show_picture(self, field_of_view: tuple[float, float], image: np.ndarray | None) -> None:
         """Show a new picture in the camera's view: vertical angle, rad, and width over height."""
@@ -170,7 +165,7 @@ class Scene:
             self._frustum.image = image
 
 
-def _place(node: viser.SceneNodeHandle, pose: np.ndarray) -> None:
+def _set_pose(node: viser.SceneNodeHandle, pose: np.ndarray) -> None:
     node.wxyz, node.position = SO3.from_matrix(pose[:3, :3]).wxyz, pose[:3, 3]
 
 
@@ -182,13 +177,13 @@ def _put(node: viser.SceneNodeHandle, position_m: np.ndarray | None) -> None:
 
 def _pieces(trail_m: np.ndarray) -> np.ndarray:
     """The trail in equal parts of time, oldest first, shape (pieces, 2, 3)."""
-    where = np.linspace(0.0, len(trail_m) - 1.0, len(_TRAIL_COLOURS))
+    at = np.linspace(0.0, len(trail_m) - 1.0, len(_TRAIL_COLOURS))
     known = np.arange(len(trail_m))
-    return _joined(np.stack([np.interp(where, known, one) for one in trail_m.T], axis=1))
+    return _joined(np.stack([np.interp(at, known, column) for column in trail_m.T], axis=1))
 
 
 def _joined(points: np.ndarray) -> np.ndarray:
-    """Each of some points, shape (n, 3), with the next one, shape (n - 1, 2, 3)."""
+    """Each point, shape (n, 3), with the next, shape (n - 1, 2, 3)."""
     return np.stack([points[:-1], points[1:]], axis=1)
 
 

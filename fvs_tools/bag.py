@@ -16,8 +16,6 @@ from rosbags import interfaces
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_typestore
 
-#: Of rosbag2's format, as ROS 2 Jazzy writes it.
-_VERSION: Final = 9
 #: The types of messages that a bag of Jazzy may hold.
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 #: Holds the notes until ``metadata.yaml`` is written; a killed recorder leaves it behind.
@@ -28,8 +26,6 @@ _CHUNK_NS: Final = 10**9
 _HELD_BYTES: Final = 64 * 2**20
 #: What writing into a bag may raise.
 ERRORS: Final = (OSError, WriterError)
-
-_CLOCK = "rosgraph_msgs/msg/Clock"
 
 
 class Message(NamedTuple):
@@ -60,10 +56,9 @@ class SimulatedTime:
 
     def stamped(self, message: Message) -> list[Message]:
         """Messages whose time is known now; to be called in the order of arrival."""
-        if message.message_type == _CLOCK:
-            told: Any = TYPES.deserialize_cdr(message.data, message.message_type)
-            clock = told.clock
-            self._now_ns = clock.sec * 10**9 + clock.nanosec
+        if message.message_type == "rosgraph_msgs/msg/Clock":
+            content: Any = TYPES.deserialize_cdr(message.data, message.message_type)
+            self._now_ns = content.clock.sec * 10**9 + content.clock.nanosec
         self._held.append(message)
         self._held_bytes += len(message.data)
         waits = self._now_ns is None and self._held_bytes <= _HELD_BYTES
@@ -74,7 +69,7 @@ class SimulatedTime:
         released, self._held = self._held, []
         if self._now_ns is None:
             return released
-        return [one._replace(stamp_ns=self._now_ns) for one in released]
+        return [message._replace(stamp_ns=self._now_ns) for message in released]
 
 
 class Bag:
@@ -84,7 +79,8 @@ class Bag:
     """
 
     def __init__(self, folder: Path, notes: Mapping[str, str]) -> None:
-        self._writer = Writer(folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
+        # Version 9 of rosbag2's format is that of ROS 2 Jazzy.
+        self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
         # Whole chunks of the file, as every reader of MCAP knows it: 1 MB at a time, or less.
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         for key, value in notes.items():

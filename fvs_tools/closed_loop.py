@@ -81,7 +81,7 @@ class ClosedLoop:
     ) -> None:
         self.simulation = simulation
         self.estimator = estimator
-        joints = {one.name: one for one in simulation.world.joints}
+        joints = {joint.name: joint for joint in simulation.world.joints}
         own = {"autostart": True, "joint_names": list(joints), **(controller_values or {})}
         own["feature"] = simulation.config.feature
         self.loop = ServoLoop(with_urdf_limits(default_values(**own), joints))
@@ -98,12 +98,12 @@ class ClosedLoop:
 
         Further keyword arguments are parameters of the controller node.
         """
-        one = scheme_called(scheme) if isinstance(scheme, str) else scheme
+        chosen = scheme_called(scheme) if isinstance(scheme, str) else scheme
         simulation = simulation or Simulation()
-        values = {"law": one.law, **one.controller_values, **controller_values}
+        values = {"law": chosen.law, **chosen.controller_values, **controller_values}
         lever_arm_m = values.get("lever_arm_m", KindConfig.lever_arm_m)
         estimator = make_estimator(
-            one.method, simulation, one.estimator_values, lever_arm_m=lever_arm_m
+            chosen.method, simulation, chosen.estimator_values, lever_arm_m=lever_arm_m
         )
         return cls(simulation, estimator, values)
 
@@ -121,10 +121,10 @@ class ClosedLoop:
         """Advance by one joint-state period and tick the controller; returns its command."""
         out = self.simulation.advance()
         now_s = out.time_s
-        for seen in out.observations:
-            if seen.z is not None:
-                self.estimation.add_image(seen.stamp_s, seen.z)
-                self.loop.add_image(now_s, seen.stamp_s, seen.z)
+        for image in out.observations:
+            if image.z is not None:
+                self.estimation.add_image(image.stamp_s, image.z)
+                self.loop.add_image(now_s, image.stamp_s, image.z)
         self.estimation.add_joints(now_s, out.joints_rad)
         problem, chain = self.estimation.problem, self.estimator.chain
         if not problem:

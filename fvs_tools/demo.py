@@ -87,7 +87,7 @@ def table(scores: Sequence[TargetScore], notes: Sequence[str]) -> str:
     def seconds(value: float | None) -> str:
         return "never" if value is None else f"{value:.2f} s"
 
-    width = max([9, *(len(one.final) for one in scores)])
+    width = max([9, *(len(score.final) for score in scores)])
     head = (
         f"{'target':>6}  {'start':>8}  {f'to {SETTLED_ERROR_M * 1e3:g} mm':>9}  "
         f"{f'to {FINE_ERROR_M * 1e3:g} mm':>9}  {'final rms':>{width}}  {'peak joint speed':>16}"

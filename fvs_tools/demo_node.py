@@ -21,9 +21,6 @@ from fvs_ros.joints import JointMap
 from fvs_ros.paths import find_file
 from fvs_tools import demo
 
-_POLL_S = 0.1
-_SILENCE_S = 5.0
-
 
 class DemoNode(ros.FvsNode):
     """Runs the demo's targets one after another."""
@@ -47,7 +44,7 @@ class DemoNode(ros.FvsNode):
         truth = kind.topics.truth
         self.watch(ros.message_class(truth.type), truth.name, self._on_truth, ros.QOS_EVERY)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
+        self.create_timer(0.1, self._poll, clock=self.steady_clock)
 
     # --- inputs ---
 
@@ -98,13 +95,13 @@ class DemoNode(ros.FvsNode):
         self._records.append(demo.TargetRecord(kind, target, stamp_s, seen=[(0.0, z)]))
 
     def _report(self, number: int, record: demo.TargetRecord) -> None:
-        one = demo.score(record)
-        settled_s = one.settling_5mm_s
+        score = demo.score(record)
+        settled_s = score.settling_5mm_s
         text = "not settled" if settled_s is None else f"settled after {settled_s:.2f} s"
         print(
             f"target {number} of {self._config.targets}, "
-            f"{one.start_distance_m * 1e3:.0f} mm away: {text}, "
-            f"final true error {one.final}",
+            f"{score.start_distance_m * 1e3:.0f} mm away: {text}, "
+            f"final true error {score.final}",
             flush=True,
         )
 
@@ -115,7 +112,7 @@ class DemoNode(ros.FvsNode):
             print(f"the loop did not get ready: {self._state} {reason}", flush=True)
             self.exit_code = stop.EXIT_FAILURE
         late_s = self.monitor(self._kind.topics.truth.name).age_s(self.now_s())
-        if self._records and late_s > _SILENCE_S:
+        if self._records and late_s > 5.0:
             print(f"the simulator has been silent for {late_s:.0f} s", flush=True)
             self.exit_code = stop.EXIT_FAILURE
 
@@ -130,7 +127,7 @@ class DemoNode(ros.FvsNode):
         notes = ["slowed: inputs came late" * record.slowed for record in self._records]
         print(f"\n{demo.table(scores, notes)}\n", flush=True)
         print(f"figure: {folder / 'demo.png'}", flush=True)
-        settled = all(one.settling_5mm_s is not None for one in scores)
+        settled = all(score.settling_5mm_s is not None for score in scores)
         self.exit_code = stop.EXIT_OK if settled else stop.EXIT_FAILURE
 
 

@@ -129,7 +129,7 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
                 if name == RECORDER:
                     first = _await_bag(processes[-1], scenario[name]["bag_dir"])
             if first is None:
-                _say(f"started {', '.join(one.name for one in processes)}")
+                _say(f"started {', '.join(process.name for process in processes)}")
                 first = _first_end(processes)
         finally:
             code = _stop_all(processes, first)
@@ -174,16 +174,16 @@ def _stop_all(processes: Sequence[_Process], first: _Process | None) -> int:
         _say(f"{first.end_text()}: stopping the rest")
     elif stop.RECEIVED:
         _say(f"{stop.name_of(stop.RECEIVED[0])}: stopping")
-    commanding = [one for one in processes if one.entry.commands_arm]
-    observing = [one for one in processes if one.entry.observer]
-    others = [one for one in processes if one not in (*commanding, *observing)]
+    commanding = [process for process in processes if process.entry.commands_arm]
+    observing = [process for process in processes if process.entry.observer]
+    others = [each for each in processes if each not in (*commanding, *observing)]
     for group in (commanding, others, observing):
         for process in group:
             process.ask_to_end()
         deadline_s = time.monotonic() + _STOP_S
         for process in group:
             process.await_end(deadline_s)
-    bad = [one for one in processes if not one.ended_well()]
+    bad = [process for process in processes if not process.ended_well()]
     for process in bad:
         if process is not first:
             _say(process.end_text())
@@ -204,7 +204,7 @@ def _parser() -> argparse.ArgumentParser:
         __doc__,
         {
             "scenarios": scenario_names(),
-            "schemes": {one.name: one.description for one in (*SCHEMES.values(), *BEYOND.values())},
+            "schemes": {name: each.description for name, each in {**SCHEMES, **BEYOND}.items()},
         },
     )
     parser.add_argument("scenario", help="a scenario YAML file, or the name of one in config/")
@@ -250,12 +250,16 @@ def _parser() -> argparse.ArgumentParser:
 @console.reader_may_leave()
 def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_launch``; returns the exit code."""
-    given = _parser().parse_args(argv)
+    arguments = _parser().parse_args(argv)
     try:
-        if not given.images and not given.record:
+        if not arguments.images and not arguments.record:
             raise ValueError("--record-without-images needs --record")
         scenario = load_scenario(
-            given.scenario, given.param, given.scheme, given.record, given.images
+            arguments.scenario,
+            arguments.param,
+            arguments.scheme,
+            arguments.record,
+            arguments.images,
         )
     except ValueError as error:
         print(f"fvs_launch: {error}", file=sys.stderr)
@@ -263,7 +267,7 @@ def main(argv: list[str] | None = None) -> int:
     if "fvs_sim_node" in scenario:
         # A simulated arm must not exchange messages with the robots of a laboratory network.
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    return launch(scenario, given.namespace, given.remap)
+    return launch(scenario, arguments.namespace, arguments.remap)
 
 
 if __name__ == "__main__":

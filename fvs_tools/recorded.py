@@ -51,11 +51,11 @@ def read_data_set(
         If there is no bag, it lacks one of the topics, or no image has joints.
     """
     with open_bag(path) as reader:
-        types = {one.topic: one.msgtype for one in reader.connections}
+        types = {each.topic: each.msgtype for each in reader.connections}
         joints = _topic(types, joint_states, (_JOINTS,), (JOINT_STATES.name,))
         tools = [kind.topics.tool for kind in KINDS.values()]
         feature = _topic(types, seen, [*_KINDS], [topic.name for topic in tools])
-        wanted = [one for one in reader.connections if one.topic in (joints, feature)]
+        wanted = [each for each in reader.connections if each.topic in (joints, feature)]
         messages = [
             (connection.topic == joints, TYPES.deserialize_cdr(raw, connection.msgtype))
             for connection, _, raw in reader.messages(wanted)
@@ -67,7 +67,7 @@ def read_data_set(
 def read_photograph(path: Path, frame: str) -> Photograph | None:
     """A colour image of the camera with this frame, from the middle of a rosbag2, if it has one."""
     with open_bag(path) as reader:
-        of = {one.topic: one for one in reader.connections}
+        of = {each.topic: each for each in reader.connections}
         for image in reader.connections:
             info = of.get(image.topic.rsplit("/", 1)[0] + "/camera_info")
             if image.msgtype != _IMAGE or info is None:
@@ -92,7 +92,7 @@ def _topic(types: dict[str, str], given: str, kinds: Sequence[str], names: Seque
     if given:
         fit = [name for name in fit if name.strip("/") == given.strip("/")]
     elif len(fit) > 1:
-        fit = [one for one in fit if one.rsplit("/", 1)[-1] in names] or fit
+        fit = [name for name in fit if name.rsplit("/", 1)[-1] in names] or fit
     if len(fit) == 1:
         return fit[0]
     what = " or ".join(kind.rsplit("/", 1)[-1] for kind in kinds)
@@ -137,7 +137,7 @@ def _paired(
                 z = from_feature(message, kind, message.header.frame_id, "ball or tag")
                 new = timeline.add_image(stamp_s, z)
         samples += new
-        rests += [_at_rest(timeline.joints, one) for one in new]
+        rests += [_at_rest(timeline.joints, sample) for sample in new]
     if problems:
         notes.insert(0, f"{len(problems)} joint states cannot be used: {problems[0]}"[:400])
     if not samples:
@@ -146,11 +146,13 @@ def _paired(
         raise ValueError(
             f"{path}: no image has joint states at its stamp: {why or 'is there one clock?'}"
         )
-    short = max(Counter(one.run for one in samples).values()) < LEAST_RUN  # no motion to follow
+    short = (
+        max(Counter(sample.run for sample in samples).values()) < LEAST_RUN
+    )  # no motion to follow
     still = any(rests) and (short or all(rests))
     if still and not all(rests):
         notes.insert(0, f"{rests.count(False)} images of still poses show the arm in motion")
-        samples = [one for one, rest in zip(samples, rests, strict=True) if rest]
+        samples = [sample for sample, rest in zip(samples, rests, strict=True) if rest]
     return data_set_of(
         samples,
         joint_names=names,

@@ -35,16 +35,10 @@ try:
 except ImportError:  # without rosbags: check_recording refuses
     bag = None  # type: ignore[assignment]
 
-_LOOK_S = 0.2
 #: Polling period of the message queues, s: polling costs far less than a callback per message.
 _FETCH_S = 0.05
-_STATUS_S = 0.5
-#: Recording time after a stop, s: a controller stopped at the same time still sends zeros.
-_LAST_MESSAGES_S = 0.5
 #: Free disk space below which the recording ends cleanly, MB.
 _LEAST_FREE_MB = 200
-#: Queue length of a topic, and of a topic with large messages.
-_DEPTH, _DEPTH_LARGE = 4000, 60
 
 
 @dataclass
@@ -88,9 +82,9 @@ class RecorderNode(ros.FvsNode):
             notes["remaps"] = yaml.safe_dump(remaps)
         # Created last: the launcher waits for the folder as a sign that all topics are subscribed.
         self._bag = bag.Bag(self._folder, notes)
-        self.create_timer(_LOOK_S, self._look, clock=self.steady_clock)
+        self.create_timer(0.2, self._look, clock=self.steady_clock)
         self.create_timer(_FETCH_S, self._fetch, clock=self.steady_clock)
-        self.create_timer(_STATUS_S, self._publish_state, clock=self.steady_clock)
+        self.create_timer(ros.STATUS_PERIOD_S, self._publish_state, clock=self.steady_clock)
         self.tell(ros.OK, f"recording into {self._folder}")
 
     # --- which topics ---
@@ -101,7 +95,7 @@ class RecorderNode(ros.FvsNode):
         Not to one whose type depends on the kind of feature: its publisher tells.
         Returns those that were remapped: their full names as declared, and as they are here.
         """
-        every = [*topics.COMMON, *(one for kind in KINDS.values() for one in kind.topics)]
+        every = [*topics.COMMON, *(topic for kind in KINDS.values() for topic in kind.topics)]
         remaps, types = {}, Counter(topic.name for topic in every)
         for topic in every:
             for node in topic.publishers:
@@ -121,7 +115,7 @@ class RecorderNode(ros.FvsNode):
             if publishers == self._publisher_counts.get(topic, 0):
                 continue
             self._publisher_counts[topic] = publishers
-            types = sorted({one.topic_type for one in self.get_publishers_info_by_topic(topic)})
+            types = sorted({end.topic_type for end in self.get_publishers_info_by_topic(topic)})
             if not types or not is_recorded(topic, types[0], self._config.images):
                 continue
             if len(types) > 1:
@@ -141,17 +135,17 @@ class RecorderNode(ros.FvsNode):
             return False
         if not bag.knows(message_type):
             return False
-        one = self._topics.setdefault(topic, _Topic(message_type))
+        subscriptions = self._topics.setdefault(topic, _Topic(message_type)).subscriptions
         reliable = offer.reliability == ReliabilityPolicy.RELIABLE
         latched = offer.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        if (reliable, latched) not in one.subscriptions:
-            one.subscriptions[reliable, latched] = self.create_subscription(
+        if (reliable, latched) not in subscriptions:
+            subscriptions[reliable, latched] = self.create_subscription(
                 kind,
                 topic,
                 lambda _message: None,  # fetched, never called
                 QoSProfile(
                     history=HistoryPolicy.KEEP_LAST,
-                    depth=_DEPTH_LARGE if message_type in LARGE else _DEPTH,
+                    depth=60 if message_type in LARGE else 4000,
                     reliability=offer.reliability,
                     durability=offer.durability,
                 ),
@@ -167,10 +161,10 @@ class RecorderNode(ros.FvsNode):
         if self.exit_code is not None:
             return
         try:
-            for message in sorted(self._waiting(), key=lambda one: one.stamp_ns):
+            for message in sorted(self._waiting(), key=lambda message: message.stamp_ns):
                 simulated = self._simulated_time
-                for one in [message] if simulated is None else simulated.stamped(message):
-                    self._write(one)
+                for stamped in [message] if simulated is None else simulated.stamped(message):
+                    self._write(stamped)
             free_mb = shutil.disk_usage(self._folder).free / 1e6
         except bag.ERRORS as error:
             self._give_up(str(getattr(error, "strerror", None) or error))
@@ -203,7 +197,8 @@ class RecorderNode(ros.FvsNode):
 
     def finish(self) -> None:
         """Record the last messages, and finish the bag."""
-        end_s = self.steady_s() + _LAST_MESSAGES_S
+        # A controller that is stopped at the same time still sends zeros.
+        end_s = self.steady_s() + 0.5
         while self.exit_code is None and self.steady_s() < end_s:
             self._fetch()
             time.sleep(_FETCH_S)

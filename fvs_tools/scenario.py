@@ -175,9 +175,9 @@ def _override(path: Path, sections: Scenario, override: str) -> None:
         raise ValueError(f"'{override}' is not of the form name:=value")
     if node and node not in sections:
         raise ValueError(unknown(f"node of {path.name}", node, sections))
-    targets = [node] if node else [one for one in sections if name in _declared(one)]
+    targets = [node] if node else [each for each in sections if name in _declared(each)]
     if not targets:
-        every = {one.name for section in sections for one in _declared(section)}
+        every = {parameter.name for each in sections for parameter in _declared(each)}
         kind = f"parameter of {path.name} ({', '.join(sections)})"
         raise ValueError(unknown(kind, name, sorted(every)))
     try:

@@ -26,7 +26,7 @@ class Scheme:
 
 
 def _by_name(*schemes: Scheme) -> dict[str, Scheme]:
-    return {one.name: one for one in schemes}
+    return {scheme.name: scheme for scheme in schemes}
 
 
 #: Those that the paper compares.

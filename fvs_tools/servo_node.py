@@ -20,7 +20,7 @@ from fvs_estimator_node.registry import PARAMETERS as ESTIMATOR
 from fvs_ros import ros
 
 #: Each once: what both have is the same.
-PARAMETERS = tuple({one.name: one for one in (*CONTROLLER, *ESTIMATOR)}.values())
+PARAMETERS = tuple({each.name: each for each in (*CONTROLLER, *ESTIMATOR)}.values())
 
 
 def make_nodes(namespaces: Sequence[str]) -> list[ros.FvsNode]:

@@ -1,6 +1,6 @@
 """A data set from a CSV file: still poses, or motion, of joints or of a hand's pose.
 
-The first line names the columns. ``x, y, z`` are the place of ball or tag in the camera's frame, m,
+The first line names the columns. ``x, y, z`` are the position of ball or tag, camera frame, m,
 and ``qx, qy, qz, qw`` the tag's orientation. The others are joints, rad (m), under their names; or
 ``hand_x`` to ``hand_qw``, the pose of the robot's hand in its base, which needs no URDF. Without
 ``stamp_s`` each line is a still pose. With it lines may be of other moments for arm and camera, and
@@ -12,19 +12,20 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fvs_estimator_node.files import DataSet, data_set_of
-from fvs_ros.kinds import kind_of
+from fvs_ros.kinds import KINDS, kind_of
+from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import rotation_from_quaternion
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.urdf import Kinematics
 
-_STAMP, _POSE = "stamp_s", ("x", "y", "z", "qx", "qy", "qz", "qw")
-_HAND = tuple(f"hand_{name}" for name in _POSE)
+_STAMP, _HAND = "stamp_s", tuple(f"hand_{name}" for name in Pose.columns)
 #: A hand whose pose is measured, as an arm: it is shifted, then turned about z, y and x.
 _FREE = Kinematics(
     root="base",
@@ -59,12 +60,12 @@ def _read(path: Path) -> tuple[list[str], np.ndarray]:
     for number, line in enumerate(lines):
         if len(line) != len(names):
             raise ValueError(f"line {number + 2} has {len(line)} cells, the first {len(names)}")
-        for place, cell in enumerate(line):
+        for column, cell in enumerate(line):
             try:
-                table[number, place] = float(cell.strip() or "nan")
+                table[number, column] = float(cell.strip() or "nan")
             except ValueError:
                 raise ValueError(
-                    f"line {number + 2}, column {names[place][:60]}: expected a number, got "
+                    f"line {number + 2}, column {names[column][:60]}: expected a number, got "
                     f"{cell[:60]!r}"
                 ) from None
     return [name.strip() for name in names], table
@@ -88,27 +89,31 @@ def _part(names: Sequence[str], table: np.ndarray, wanted: Sequence[str]) -> np.
 def _data_set(
     source: str, names: list[str], table: np.ndarray
 ) -> tuple[DataSet, Kinematics | None]:
-    of_pose, of_hand, timed = (one in names for one in (_POSE[-1], _HAND[0], _STAMP))
-    joint_names = tuple(one for one in names if one not in (_STAMP, *_POSE))
+    of_hand, timed = _HAND[0] in names, _STAMP in names
+    # The one with most columns, if its last is there.
+    kind = kind_of(
+        max(KINDS, key=lambda k: len(KINDS[k].columns) * (KINDS[k].columns[-1] in names))
+    )
+    joint_names = tuple(name for name in names if name not in (_STAMP, *kind.columns))
     joints = _part(names, table, _HAND if of_hand else joint_names)
-    images = _part(names, table, _POSE if of_pose else _POSE[:3])
+    images = _part(names, table, kind.columns)
     stamps_s = _part(names, table, [_STAMP])[:, 0] if timed else np.arange(float(len(table)))
     if np.isnan(stamps_s).any():
         raise ValueError(f"line {np.isnan(stamps_s).argmax() + 2} lacks a {_STAMP}")
-    moved, seen = (np.isfinite(one[:, 0]) for one in (joints, images))
-    joints, images, arm = joints[moved], images[seen], None
+    has_joints, has_image = np.isfinite(joints[:, 0]), np.isfinite(images[:, 0])
+    joints, images, arm = joints[has_joints], images[has_image], None
     if of_hand:
         arm, joints = _as_arm(joints)
-    kind = kind_of("pose" if of_pose else "ball")
     images = np.array([kind.parse(numbers) for numbers in images])
     timeline, samples = Timeline(), list[Sample]()
-    events = [(float(stamp), 0, one) for stamp, one in zip(stamps_s[moved], joints, strict=True)]
-    events += [(float(stamp), 1, one) for stamp, one in zip(stamps_s[seen], images, strict=True)]
-    for stamp_s, of_image, values in sorted(events, key=lambda event: event[:2]):
-        samples += (timeline.add_image if of_image else timeline.add_joints)(stamp_s, values)
+    of_arm = zip(stamps_s[has_joints].tolist(), repeat(timeline.add_joints), joints)
+    of_camera = zip(stamps_s[has_image].tolist(), repeat(timeline.add_image), images)
+    # At equal stamps the joints first.
+    for stamp_s, add, values in sorted([*of_arm, *of_camera], key=lambda event: event[0]):
+        samples += add(stamp_s, values)
     if not samples or (not timed and len(samples) < len(table)):
         raise ValueError(
-            f"{len(samples)} of {np.count_nonzero(seen)} images have an arm at their time, in "
+            f"{len(samples)} of {len(images)} images have an arm at their time, in "
             f"metres and radians ({timeline.last_reason or 'no joints'})"
         )
     data = data_set_of(
@@ -122,8 +127,8 @@ def _data_set(
 
 
 def _as_arm(poses: np.ndarray) -> tuple[Kinematics, np.ndarray]:
-    """An arm whose joints put its tip into a hand's poses; turns count from the mean one."""
-    turns = Rotation.from_matrix([rotation_from_quaternion(one) for one in poses[:, 3:]])
-    middle = turns.mean()
-    angles = np.unwrap((turns * middle.inv()).as_euler("ZYX"), axis=0)
+    """An arm whose joints put its tip into a hand's poses; angles count from the mean rotation."""
+    rotations = Rotation.from_matrix([rotation_from_quaternion(q) for q in poses[:, 3:]])
+    middle = rotations.mean()
+    angles = np.unwrap((rotations * middle.inv()).as_euler("ZYX"), axis=0)
     return replace(_FREE, tip_rotation=middle.as_matrix()), np.hstack([poses[:, :3], angles])

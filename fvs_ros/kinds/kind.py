@@ -27,6 +27,8 @@ class Kind:
         Trained model of the simulated arm that comes with the package.
     topics : KindTopics
         Where it is published.
+    columns : tuple of str
+        Names of the numbers that a person writes of a measurement.
     axes : tuple of str
         Names of the d components of a tangent vector.
     unit : ndarray, shape (d,)
@@ -45,6 +47,7 @@ class Kind:
 
     name = what = model = ""
     topics: KindTopics
+    columns: tuple[str, ...] = ("x", "y", "z")
     axes: tuple[str, ...] = ()
     unit: np.ndarray
     weights: np.ndarray
@@ -91,8 +94,8 @@ class Kind:
 
     def parse(self, numbers: np.ndarray) -> np.ndarray:
         """Measurement of the numbers that a person writes, finite; a ``ValueError`` if wrong."""
-        if len(numbers) != self.numbers:
-            raise ValueError(f"expected {self.numbers} numbers, got {len(numbers)}")
+        if len(numbers) != len(self.columns):
+            raise ValueError(f"expected {len(self.columns)} numbers, got {len(numbers)}")
         return numbers
 
     # ---- motion ------------------------------------------------------------------------------
@@ -156,6 +159,10 @@ class Kind:
     def of_body(self, position_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """What is measured of a body at a position, m, (3,), with a rotation matrix, (3, 3)."""
         return position_m
+
+    def rotation(self, z: np.ndarray) -> np.ndarray | None:
+        """The body's rotation matrix, (3, 3); None for a kind that has none."""
+        return None
 
     def directions(self, z: np.ndarray) -> np.ndarray:
         """Directions that turn with the body, weighted, m, (k, 3)."""

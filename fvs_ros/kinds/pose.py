@@ -37,6 +37,7 @@ class Pose(Kind):
     """The pose of a tag; ``lever_arm_m`` is L."""
 
     name, what, model = "pose", "tag", "models/ur5_front_pose.npz"
+    columns = ("x", "y", "z", "qx", "qy", "qz", "qw")
     axes = ("x", "y", "z", "rx", "ry", "rz")
     outliers = 0.05  # its noise depends on the view
     least_joints, flat = 6, False
@@ -73,8 +74,7 @@ class Pose(Kind):
 
     def parse(self, numbers: np.ndarray) -> np.ndarray:
         """Pose of a position, m, and a quaternion x, y, z, w."""
-        if len(numbers) != 7:
-            raise ValueError(f"expected 7 numbers, got {len(numbers)}")
+        numbers = super().parse(numbers)
         return self._of_numbers(numbers[:3], numbers[3:])
 
     def _of_numbers(self, position_m: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
