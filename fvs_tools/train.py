@@ -6,7 +6,7 @@ import argparse
 import hashlib
 import platform
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,13 +17,8 @@ from fvs_estimator_node.files import DataSet, TrainedModel, load_data_set, save_
 from fvs_estimator_node.training import METHODS, TrainingOptions, train
 from fvs_ros import console
 from fvs_ros.arguments import Parser, one_of
-from fvs_ros.chain import SerialChain
-from fvs_ros.kinds import Kind, kind_of
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_tools.table import read_table
-
-#: A joint, or a direction, in which the ball moves less than this share of the best is weak.
-_WEAK = 0.05
 
 
 @console.reader_may_leave()
@@ -137,12 +132,6 @@ def report(trained: TrainedModel) -> str:
             f"noise of a position: {1e3 * e['ray_noise_m']:.2f} mm along the line of sight, "
             f"{1e3 * e['lateral_noise_m']:.2f} mm across",
             f"distance from the chain: {1e3 * e['residual_m']:.2f} mm (median); {noise}",
-            *on_joints(
-                trained.chain,
-                trained.joint_names,
-                trained.joint_box_rad.mean(axis=0),
-                trained.kind,
-            ),
         ]
     low, high = (", ".join(f"{v:.2f}" for v in side) for side in trained.joint_box_rad)
     lines += [
@@ -151,30 +140,6 @@ def report(trained: TrainedModel) -> str:
         f"{e['samples']} images, {e['outliers']} left out",
     ]
     return "\n".join(lines)
-
-
-def on_joints(
-    chain: SerialChain,
-    names: Sequence[str],
-    joints_rad: np.ndarray,
-    kind: Kind | None = None,
-) -> Iterator[str]:
-    """How each joint moves ball or tag, and what cannot be servoed, at given joints, rad (m)."""
-    kind = kind or kind_of("ball")
-    what, jacobian = kind.what, kind.moved_by(*chain.motion(joints_rad))
-    sizes, units = np.linalg.norm(jacobian, axis=0), np.where(chain.prismatic > 0.0, "m/m", "m/rad")
-    each = zip(names, sizes, units, strict=True)
-    yield f"joints move the {what} by " + ", ".join(f"{n} {s:.2f} {u}" for n, s, u in each)
-    weak = [name for name, size in zip(names, sizes, strict=True) if size < _WEAK * sizes.max()]
-    if weak:
-        yield f"{', '.join(weak)} hardly moves the {what}: servoing does without it"
-    ways, values, _ = np.linalg.svd(jacobian)
-    if len(values) < len(ways) or values[-1] < _WEAK * values[0]:
-        way = ", ".join(f"{part + 0.0:.2f}" for part in ways[:, -1])
-        yield (
-            f"no joint moves the {what} along [{way}] of the camera frame in the middle of the "
-            "box: the arm cannot servo there; collect about another posture"
-        )
 
 
 if __name__ == "__main__":

@@ -5,8 +5,7 @@ import pytest
 from recordings import Recording, relative_error
 
 from fvs_estimator_node.files import DataSet, load_data_set, load_model, save_data_set
-from fvs_ros.chain import SerialChain
-from fvs_tools.train import main, on_joints
+from fvs_tools.train import main
 
 
 @pytest.fixture
@@ -33,7 +32,6 @@ def test_a_chain_teaches_the_networks(tmp_path, capsys):
     for words in (
         "Jacobian of the chain, in the box of the data: 0.",
         "off the chain (median)",
-        "joints move the ball by shoulder_pan_joint 0.",
         "images stamped late: ",
         "note: the images show the joints of 50 ms before their stamps",
         "model written",
@@ -52,16 +50,6 @@ def test_a_chain_teaches_the_networks(tmp_path, capsys):
     assert captured.err.startswith("note: the images show the joints of 50 ms before")
     assert [f"note: {note}" for note in trained.notes] == captured.err.splitlines()
     assert model.read_bytes() == first
-
-
-def test_the_report_names_prismatic_joints_weak_ones_and_what_cannot_be_servoed():
-    axes = np.array([[0.0, 0.0, 1.0]] * 3)
-    points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [0.3, 0.0, 1.0]])
-    scara = SerialChain(axes, points, np.array([0.3, 0.0, 1.0]), np.zeros(3), np.array([0, 1, 0]))
-    first, weak, singular = on_joints(scara, ("arm", "lift", "wrist"), np.zeros(3))
-    assert first == "joints move the ball by arm 0.30 m/rad, lift 1.00 m/m, wrist 0.00 m/rad"
-    assert weak.startswith("wrist hardly moves the ball")
-    assert "along [1.00, 0.00, 0.00] of the camera frame" in singular
 
 
 def changed(path, change):
