@@ -16,23 +16,23 @@ from fvs_ros import console
 from fvs_ros.arguments import Parser
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 
-_PAGE_MM, _MARGIN_MM, _DPI = (210.0, 297.0), 10.0, 600
-_MM_PER_INCH, _CELL_PX = 25.4, 100
+#: A4.
+_PAGE_MM = np.array([210.0, 297.0])
 
 
 @console.reader_may_leave()
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
-    given = _parser().parse_args(argv)
+    arguments = _parser().parse_args(argv)
     try:
-        tag = Tag(given.dictionary, given.id, given.size_m, given.layout)
-        draw(tag, given.output)
+        tag = Tag(arguments.dictionary, arguments.id, arguments.size_m, arguments.layout)
+        draw(tag, arguments.output)
     except (ValueError, OSError) as error:
         print(f"fvs_tag: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
     print(
-        f"{given.output}: print it at 100 %, measure a black square, and start the detector with "
-        f"-p feature:=pose -p tag_layout:={tag.tag_layout} -p tag_size_m:=... "
+        f"{arguments.output}: print it at 100 %, measure a black square, and start the detector "
+        f"with -p feature:=pose -p tag_layout:={tag.tag_layout} -p tag_size_m:=... "
         f"(here {tag.tag_size_m:g})"
     )
     return EXIT_OK
@@ -48,49 +48,40 @@ def draw(tag: Tag, path: Path) -> None:
 
     TagReader(tag)  # checks the numbers
     size_mm, pitch_mm = 1e3 * tag.tag_size_m, 1e3 * tag.pitch_m
-    places = np.array(LAYOUTS[tag.tag_layout])
-    outer_mm = pitch_mm * (1.0 + np.ptp(places[:, 0]))
-    most_mm = _PAGE_MM[0] - 2.0 * _MARGIN_MM
-    if outer_mm > most_mm:
+    centres_mm = pitch_mm * np.array(LAYOUTS[tag.tag_layout])
+    width_mm, height_mm = pitch_mm + np.ptp(centres_mm, axis=0)
+    most_mm = _PAGE_MM[0] - 20.0  # margins that a printer may need
+    if width_mm > most_mm:
         raise ValueError(
-            f"the page takes tags of {1e-3 * most_mm * size_mm / outer_mm:.3f} m at most, "
+            f"the page takes tags of {1e-3 * most_mm * size_mm / width_mm:.3f} m at most, "
             f"got {tag.tag_size_m:g} m"
         )
     if path.suffix not in (".pdf", ".png"):
         raise ValueError(f"the output must end in .pdf or .png, got {path.name}")
-    figure = Figure(figsize=(_PAGE_MM[0] / _MM_PER_INCH, _PAGE_MM[1] / _MM_PER_INCH))
+    figure = Figure(figsize=(_PAGE_MM[0] / 25.4, _PAGE_MM[1] / 25.4))
     page = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     page.axis("off")
-    middle = np.array([0.5 * _PAGE_MM[0], 0.6 * _PAGE_MM[1]])
-    for number, place in zip(tag.faces, places, strict=True):
-        low, high = middle + pitch_mm * place - 0.5 * size_mm, middle + pitch_mm * place
-        high += 0.5 * size_mm
-        picture = cv2.aruco.generateImageMarker(tag.dictionary, number, tag.cells * _CELL_PX)
-        page.imshow(
-            picture,
-            extent=(low[0], high[0], low[1], high[1]),
-            cmap="gray",
-            interpolation="nearest",
-            aspect="auto",
-        )
-        corner = low - 0.5 * (pitch_mm - size_mm)
-        page.add_patch(
-            Rectangle(corner, pitch_mm, pitch_mm, fill=False, color="0.8", linewidth=0.3)
-        )
+    middle = _PAGE_MM * (0.5, 0.6)
+    for number, centre in zip(tag.faces, middle + centres_mm, strict=True):
+        picture = cv2.aruco.generateImageMarker(tag.dictionary, number, 100 * tag.cells)
+        (left, bottom), (right, top) = centre - 0.5 * size_mm, centre + 0.5 * size_mm
+        extent = (left, right, bottom, top)
+        page.imshow(picture, "gray", interpolation="nearest", aspect="auto", extent=extent)
+        corner = centre - 0.5 * pitch_mm
+        page.add_patch(Rectangle(corner, pitch_mm, pitch_mm, fill=False, color="0.8", lw=0.3))
     page.set(xlim=(0.0, _PAGE_MM[0]), ylim=(0.0, _PAGE_MM[1]))
-    below = middle[1] - 0.5 * pitch_mm * (1.0 + np.ptp(places[:, 1])) - 8.0
+    below = middle[1] - 0.5 * height_mm - 8.0
     words = f"{tag.tag_dictionary}, number {tag.tag_id}"
-    if len(places) > 1:
-        words += f" to {tag.tag_id + len(places) - 1}"
+    if len(tag.faces) > 1:
+        words += f" to {max(tag.faces)}"
     words += f": a black square is {size_mm:g} mm wide"
     if tag.tag_layout == "cube":
         words += f"; cut out, fold, and glue to a cube of {pitch_mm:.2f} mm"
     page.text(middle[0], below, words, ha="center", size=9)
-    ruler_mm = 100.0
-    start, below = middle[0] - 0.5 * ruler_mm, below - 14.0
-    page.plot([start, start + ruler_mm], [below, below], "k|-", linewidth=0.5, markersize=9)
-    page.text(middle[0], below - 7.0, "this line is 100 mm long", ha="center", size=9)
-    figure.savefig(path, dpi=_DPI)
+    ends = middle[0] + np.array([-50.0, 50.0])
+    page.plot(ends, [below - 14.0] * 2, "k|-", linewidth=0.5, markersize=9)
+    page.text(middle[0], below - 21.0, "this line is 100 mm long", ha="center", size=9)
+    figure.savefig(path, dpi=600)
 
 
 def _parser() -> argparse.ArgumentParser:
