@@ -31,18 +31,16 @@ _ARGUMENTS = (
     ("record", "", "records all topics into a bag in this folder, which must not exist"),
     ("record_images", "true", "false leaves the images out of the bag"),
 )
-#: fvs_launch gives commanding nodes, others and observers 5 s each, and takes any signal, s.
-_TERM_S, _KILL_S = "1", "20"
 
 
-def _viewer(given):
+def _viewer(arguments):
     """RViz, and a simulated robot's links; a real one's driver publishes them."""
     from launch_ros.actions import Node
     from launch_ros.parameter_descriptions import ParameterValue
 
-    remaps = [tuple(rule.split(":=")) for rule in given["remap"].split()]
-    common = {"namespace": given["namespace"], "remappings": remaps}
-    scenario = load_scenario(given["scenario"], given["param"].split(), given["scheme"])
+    remaps = [tuple(rule.split(":=")) for rule in arguments["remap"].split()]
+    common = {"namespace": arguments["namespace"], "remappings": remaps}
+    scenario = load_scenario(arguments["scenario"], arguments["param"].split(), arguments["scheme"])
     prefix = next((v["tf_prefix"] for v in scenario.values() if "tf_prefix" in v), "")
     rviz = ["-d", str(find_file("fvs.rviz")), "-f", f"{prefix}base_link"]
     actions = [Node(package="rviz2", executable="rviz2", arguments=rviz, **common)]
@@ -63,22 +61,23 @@ def _viewer(given):
 
 
 def _nodes(context):
-    given = {name: LaunchConfiguration(name).perform(context) for name, *_ in _ARGUMENTS}
-    words = [given["scenario"]]
-    words += [f"--{name}={given[name]}" for name in ("scheme", "namespace", "record")]
+    arguments = {name: LaunchConfiguration(name).perform(context) for name, *_ in _ARGUMENTS}
+    words = [arguments["scenario"]]
+    words += [f"--{name}={arguments[name]}" for name in ("scheme", "namespace", "record")]
     for name in ("param", "remap"):
-        words += [f"--{name}={one}" for one in given[name].split()]
-    if given["record"] and given["record_images"].lower() == "false":
+        words += [f"--{name}={rule}" for rule in arguments[name].split()]
+    if arguments["record"] and arguments["record_images"].lower() == "false":
         words.append("--record-without-images")
     loop = ExecuteProcess(
         name="fvs_launch",
         cmd=[*program("fvs_tools.launcher", dies_with_parent=True), *words],
         output="screen",
-        sigterm_timeout=_TERM_S,
-        sigkill_timeout=_KILL_S,
+        # It gives commanding nodes, others and observers 5 s each, and takes any signal.
+        sigterm_timeout="1",
+        sigkill_timeout="20",
         on_exit=Shutdown(reason="fvs_launch ended"),
     )
-    return [loop, *(_viewer(given) if given["rviz"].lower() == "true" else [])]
+    return [loop, *(_viewer(arguments) if arguments["rviz"].lower() == "true" else [])]
 
 
 def generate_launch_description() -> LaunchDescription:

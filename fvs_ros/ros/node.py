@@ -246,13 +246,13 @@ class FvsNode(Node):
             kind = message_class(topics.TF_STATIC.type)
         except ImportError:
             return False
-        one = TransformStamped(header=pose.header, child_frame_id=child)
-        at, to = pose.pose.position, one.transform.translation
+        transform = TransformStamped(header=pose.header, child_frame_id=child)
+        at, to = pose.pose.position, transform.transform.translation
         to.x, to.y, to.z = at.x, at.y, at.z
-        one.transform.rotation = pose.pose.orientation
+        transform.transform.rotation = pose.pose.orientation
         if self._transforms is None:
             self._transforms = self.publisher(topics.TF_STATIC)
-        self._transforms.publish(kind(transforms=[one]))
+        self._transforms.publish(kind(transforms=[transform]))
         return True
 
     def watch(
