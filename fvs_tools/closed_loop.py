@@ -29,9 +29,6 @@ from fvs_sim_node.simulation import Simulation
 from fvs_tools.schemes import Scheme
 from fvs_tools.schemes import scheme as scheme_called
 
-#: The model that comes with the package, of a ball.
-MODEL = kind_of("ball").model
-
 
 @lru_cache(maxsize=4)
 def _load(name: str, joint_names: tuple[str, ...], feature: str) -> TrainedModel:

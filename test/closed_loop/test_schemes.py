@@ -13,7 +13,7 @@ from fvs_lab.trials import HOME_RAD, jacobian_error, make_cases, simulation_of
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import SimConfig, Simulation
-from fvs_tools.closed_loop import MODEL, ClosedLoop, make_estimator
+from fvs_tools.closed_loop import ClosedLoop, make_estimator
 from fvs_tools.demo import choose_target
 
 each_scheme = pytest.mark.parametrize("name", ["best", "extended"])
@@ -159,7 +159,7 @@ def rendered_loop(method="rbf", seed=1, **disturbances):
     estimator = make_estimator(method, simulation)
     loop = ClosedLoop(simulation, estimator, {"max_joint_velocity_rad_s": 1.0})
     loop.run(0.3)
-    candidates_m = load_model(find_file(MODEL)).ball_samples_m
+    candidates_m = load_model(find_file(Ball.model)).ball_samples_m
 
     def target(distance_m=0.3):
         return choose_target(Ball(), candidates_m, simulation.true_ball_position(), distance_m, rng)

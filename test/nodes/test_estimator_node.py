@@ -17,7 +17,6 @@ from fvs_ros.joints import JointMap
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import SimConfig, Simulation
-from fvs_tools.closed_loop import MODEL
 
 NAME = "fvs_estimator_node"
 MODULE = f"{NAME}.node"
@@ -171,7 +170,7 @@ def test_without_a_model_it_hands_on_the_truth_or_learns_from_zero(ros_test):
 
 
 def test_whoever_comes_late_hears_of_the_chain_and_a_doubtful_model_says_so(ros_test):
-    trained, path = load_model(find_file(MODEL)), ros_test.folder / "doubtful.npz"
+    trained, path = load_model(find_file(Ball.model)), ros_test.folder / "doubtful.npz"
     notes = ["the ball does not move on a rigid chain", 7]
     save_model(path, replace(trained, provenance={**trained.provenance, "notes": notes}))
     robot = PlayedRobot(ros_test)
