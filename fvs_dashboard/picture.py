@@ -9,7 +9,7 @@ import numpy as np
 
 from fvs_ros.camera import Intrinsics
 
-BALL_RGB, TARGET_RGB = (255, 214, 0), (86, 180, 233)
+TARGET_RGB = (86, 180, 233)
 #: Before the first image; others are shown in its width.
 BLANK = np.full((240, 320, 3), 90, np.uint8)
 #: Age above which a picture shows its age, s.

@@ -1,4 +1,4 @@
-"""The 3-D view: arm, camera, ball, trail and target."""
+"""The 3-D view: arm, camera, ball or tag, trail and target."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ import yourdfpy
 from viser.extras import ViserUrdf
 from viser.transforms import SO3
 
-from fvs_dashboard import picture
 from fvs_dashboard.board import Board
+from fvs_dashboard.picture import TARGET_RGB
 from fvs_ros.kinds import Kind
 from fvs_ros.paths import find_mesh
 from fvs_ros.urdf import read_robot
 
-_BALL, _PREDICTED, _TARGET = (213, 40, 30), picture.BALL_RGB, picture.TARGET_RGB
+_MEASURED, _PREDICTED = (213, 40, 30), (255, 214, 0)
 #: What the colours mean in the view.
 LEGEND = (
-    ("●", _BALL, "ball seen"),
+    ("●", _MEASURED, "as measured"),
     ("◉", _PREDICTED, "where it is now"),
-    ("●", _TARGET, "target: drag it"),
+    ("●", TARGET_RGB, "target: drag it"),
 )
 #: Of the trail, from old to new: a fixed number, which the browser redraws cheaply.
 _TRAIL_COLOURS = np.linspace((60, 64, 72), _PREDICTED, 97)
@@ -65,7 +65,9 @@ class Scene:
         look = {"scale": 0.14, "thickness": 0.004, "color": (190, 196, 208), "jpeg_quality": 70}
         self._frustum = scene.add_camera_frustum("/camera/view", 1.0, 1.0, **look)
         self._trail = self._add_lines("/camera/trail", _joined(_TRAIL_COLOURS), 3.0)
-        self._ball = scene.add_icosphere("/camera/ball", ball_radius_m, _BALL, visible=False)
+        self._measured = scene.add_icosphere(
+            "/camera/measured", ball_radius_m, _MEASURED, visible=False
+        )
         look = {"subdivisions": 2, "opacity": 0.3, "visible": False}
         self._predicted = scene.add_icosphere(
             "/camera/predicted", 1.25 * ball_radius_m, _PREDICTED, **look
@@ -105,8 +107,8 @@ class Scene:
             depth_test=False,
             visible=False,
         )
-        # Smaller than the ball, which hides it once it is there.
-        scene.add_icosphere("/camera/target/ball", 0.6 * ball_radius_m, _TARGET, opacity=0.8)
+        # Smaller than what is measured, which hides it once it is there.
+        scene.add_icosphere("/camera/target/ball", 0.6 * ball_radius_m, TARGET_RGB, opacity=0.8)
         self._target_axes = scene.add_frame(
             "/camera/target/axes", axes_length=0.08, axes_radius=0.003, visible=False
         )
@@ -140,7 +142,7 @@ class Scene:
             _set_pose(self._camera, self._arm.in_root(*board.camera))
             self._root.visible = True
         controller, z = board.controller(now_s), board.newest("feature", now_s)
-        _put(self._ball, None if z is None else z[:3])
+        _put(self._measured, None if z is None else z[:3])
         _put(self._predicted, controller.position_m)
         rotation = None if z is None else self._kind.rotation(z)
         if rotation is not None:
