@@ -134,8 +134,6 @@ KIND_CLASSES = {"Ball", "Pose", "PointStamped", "PoseStamped", "TagPose"}
 KIND_SIZES = {3, 6, 12}
 #: Files that ask all the same, until a kind answers for them.
 ASKING = {
-    "fvs_dashboard/dashboard_node.py",
-    "fvs_dashboard/scene.py",
     "fvs_estimator_node/chain_fit.py",
     "fvs_estimator_node/chain_start.py",
     "fvs_estimator_node/hand_eye_model.py",
