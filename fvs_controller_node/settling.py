@@ -11,7 +11,7 @@ Speed limits are ignored: a limited arm takes longer.
 from __future__ import annotations
 
 from itertools import pairwise
-from math import copysign, expm1, inf, log, log1p
+from math import inf, log1p
 
 import numpy as np
 
@@ -20,23 +20,6 @@ from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 _NODES, _WEIGHTS = (rule.tolist() for rule in np.polynomial.legendre.leggauss(16))
 #: Ends of the pieces of the quadrature, in switching errors.
 _PIECES = (0.0, 0.7, 1.0, 1.2, 1.6)
-
-
-def constant_exponent_time_s(
-    y_from: float, y_to: float, gamma: float, surface: SlidingSurface
-) -> float:
-    """Time to slide from one error, m, to a smaller one with a constant exponent in (0, 1], s.
-
-    0 <= y_to <= y_from, and y_to > 0 if gamma = 1 or alpha3 = 0.
-    """
-    a1, a2, a3 = surface.alpha1, surface.alpha2, surface.alpha3
-    if y_from <= y_to:
-        return 0.0
-    if gamma == 1.0 or a3 == 0.0:
-        rate = (a2 + a3 if gamma == 1.0 else a2) / a1
-        return inf if y_to == 0.0 else log(y_from / y_to) / rate
-    p = 1.0 - gamma
-    return a1 / (a2 * p) * log((a2 * y_from**p + a3) / (a2 * y_to**p + a3))
 
 
 def sliding_time_s(y0: float, surface: SlidingSurface) -> float:
@@ -78,18 +61,6 @@ def reaching_time_s(s0: float, law: ReachingLaw) -> float:
         return inf
     p = 2.0 - 2.0 * law.sigma
     return law.k4 / (law.k1 * p) * log1p(law.k1 * abs(s0) ** p / law.k2)
-
-
-def sliding_value_after(s0: float, t_s: float, law: ReachingLaw) -> float:
-    """Return the sliding variable after ``t_s`` seconds of the reaching law."""
-    if t_s >= reaching_time_s(s0, law):
-        return 0.0
-    p = 2.0 - 2.0 * law.sigma
-    rate = law.k1 * p / law.k4
-    # u = |s|^p is linear: u' = -p (k1 u + k2) / k4.
-    u0 = abs(s0) ** p
-    u = u0 + (u0 + law.k2 / law.k1) * expm1(-rate * t_s)
-    return copysign(max(0.0, u) ** (1.0 / p), s0)
 
 
 def settling_time_s(y0: float, surface: SlidingSurface, law: ReachingLaw) -> float:

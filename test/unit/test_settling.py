@@ -8,13 +8,7 @@ from cases import each
 from scipy.integrate import quad, solve_ivp
 
 from fvs_controller_node.ftsm import ReachingLaw
-from fvs_controller_node.settling import (
-    constant_exponent_time_s,
-    reaching_time_s,
-    settling_time_s,
-    sliding_time_s,
-    sliding_value_after,
-)
+from fvs_controller_node.settling import reaching_time_s, settling_time_s, sliding_time_s
 from fvs_controller_node.surface import SlidingSurface
 
 REALISTIC = SlidingSurface()
@@ -50,18 +44,14 @@ SLIDES = [
 
 
 @each(("y0", "surface"), SLIDES)
-def test_the_sliding_time_is_the_corrected_36_to_39(y0: float, surface: SlidingSurface):
+def test_the_printed_36_to_39_are_no_sliding_time(y0: float, surface: SlidingSurface):
     switch, near = surface.switch_error_m, surface.exponent(0.0)
     far = surface.lambda1 - surface.lambda2
-    wanted = 0.0
-    for y_from, y_to, gamma in ((y0, switch, far), (switch, 0.0, near)):
-        integrated = integrated_s(y_from, y_to, surface, gamma)
-        found = constant_exponent_time_s(y_from, y_to, gamma, surface)
-        assert found == pytest.approx(integrated, rel=1e-5)
-        wanted += integrated
+    wanted = integrated_s(y0, switch, surface, far) + integrated_s(switch, 0.0, surface, near)
     printed = printed_36(y0, far, surface) + printed_36(switch, near, surface)
     assert abs(printed / wanted - 1.0) > 1.0
     assert (printed < 0.0) is (surface.alpha2 < surface.alpha3)
+    assert sliding_time_s(y0, surface) == pytest.approx(wanted, rel=0.06)
 
 
 def test_36_runs_to_zero_even_with_its_denominator_corrected():
@@ -69,50 +59,45 @@ def test_36_runs_to_zero_even_with_its_denominator_corrected():
     far = surface.lambda1 - surface.lambda2
     a2, a3 = surface.alpha2, surface.alpha3
     repaired = printed_36(y0, far, surface) * (a2 - a3) / a2
-    assert repaired == pytest.approx(constant_exponent_time_s(y0, 0.0, far, surface))
-    to_switch = constant_exponent_time_s(y0, surface.switch_error_m, far, surface)
-    assert repaired > 1.04 * to_switch
+    assert repaired == pytest.approx(integrated_s(y0, 0.0, surface, far), rel=1e-5)
+    assert repaired > 1.04 * integrated_s(y0, surface.switch_error_m, surface, far)
 
 
 @each("surface", [REALISTIC, PAPER])
 @each("y0", [0.9, 0.3, 0.02, 0.003])
-def test_the_switched_form_is_close_to_the_sliding_time(surface: SlidingSurface, y0: float):
+def test_the_sliding_time_is_that_of_the_differential_equation(y0: float, surface: SlidingSurface):
     wanted = integrated_s(y0, 0.0, surface)
-    switch = min(y0, surface.switch_error_m)
-    switched = constant_exponent_time_s(
-        y0, switch, surface.lambda1 - surface.lambda2, surface
-    ) + constant_exponent_time_s(switch, 0.0, surface.exponent(0.0), surface)
-    assert switched == pytest.approx(wanted, rel=0.06)
     assert sliding_time_s(y0, surface) == pytest.approx(wanted, rel=1e-6)
     assert sliding_time_s(y0, SlidingSurface(1.0, 3.0, 0.0)) == math.inf
 
 
-@each("law", [ReachingLaw(), ReachingLaw(1.63, 0.067, 0.125, 0.82)])
-def test_reaching_has_a_closed_form(law: ReachingLaw):
-    def rate(_t, s):
-        power = np.abs(s) ** (2 * law.sigma - 1)
-        return -(law.k1 * s + law.k2 * power * np.sign(s)) / law.k4
+def reaching_rate(s, law: ReachingLaw):
+    return -(law.k1 * s + law.k2 * np.abs(s) ** (2 * law.sigma - 1) * np.sign(s)) / law.k4
 
+
+@each("law", [ReachingLaw(), ReachingLaw(1.63, 0.067, 0.125, 0.82)])
+def test_the_surface_is_reached_when_promised(law: ReachingLaw):
     end = reaching_time_s(-0.8, law)
-    t = np.linspace(0.0, 0.95 * end, 20)
-    s = solve_ivp(rate, (0.0, end), [-0.8], t_eval=t, rtol=1e-10, atol=1e-13).y[0]
-    np.testing.assert_allclose([sliding_value_after(-0.8, at, law) for at in t], s, atol=1e-8)
-    assert -1e-3 < sliding_value_after(-0.8, 0.999 * end, law) < 0.0
-    assert sliding_value_after(-0.8, 1.001 * end, law) == 0.0
+    sides = [0.0, 0.95 * end, 1.001 * end]
+    run = solve_ivp(
+        lambda _t, s: reaching_rate(s, law), (0.0, sides[-1]), [-0.8], t_eval=sides, rtol=1e-9
+    )
+    assert run.y[0, 1] < -1e-6
+    assert abs(run.y[0, 2]) < 1e-7
 
 
 def test_the_total_bounds_the_real_thing():
     surface, law, y0 = PAPER, ReachingLaw(1.63, 0.067, 0.125, 0.82), 0.25
-    bound_s = settling_time_s(y0, surface, law)
-    s0 = surface.value(y0, 0.0)
 
-    def rate(t, y):
-        s = sliding_value_after(s0, t, law)
-        return (s - surface.alpha2 * y - surface.alpha3 * surface.psi(float(y[0]))) / surface.alpha1
+    def rate(_t, state):
+        y, s = state
+        slide = surface.alpha2 * y + surface.alpha3 * surface.psi(float(y))
+        return [(s - slide) / surface.alpha1, reaching_rate(s, law)]
 
-    def arrived(_t, y):
-        return y[0] - 1e-7
+    def arrived(_t, state):
+        return state[0] - 1e-7
 
     arrived.terminal = True  # type: ignore[attr-defined]
-    run = solve_ivp(rate, (0.0, 20.0), [y0], events=arrived, rtol=1e-8, atol=1e-10, max_step=0.01)
-    assert run.t[-1] <= bound_s < 1.6 * run.t[-1]
+    start = [y0, surface.value(y0, 0.0)]
+    run = solve_ivp(rate, (0.0, 20.0), start, events=arrived, rtol=1e-8, atol=1e-10, max_step=0.01)
+    assert run.t[-1] <= settling_time_s(y0, surface, law) < 1.6 * run.t[-1]
