@@ -80,7 +80,12 @@ def test_the_surface_is_reached_when_promised(law: ReachingLaw):
     end = reaching_time_s(-0.8, law)
     sides = [0.0, 0.95 * end, 1.001 * end]
     run = solve_ivp(
-        lambda _t, s: reaching_rate(s, law), (0.0, sides[-1]), [-0.8], t_eval=sides, rtol=1e-9
+        lambda _t, s: reaching_rate(s, law),
+        (0.0, sides[-1]),
+        [-0.8],
+        t_eval=sides,
+        rtol=1e-9,
+        atol=1e-12,
     )
     assert run.y[0, 1] < -1e-6
     assert abs(run.y[0, 2]) < 1e-7
