@@ -64,8 +64,8 @@ class BallDetection:
         centre = np.round(16.0 * camera.project(self.position_m)).astype(int).tolist()
         cv2.circle(picture, centre, round(16 * self.radius_px), **style)
         x, y, z = self.position_m
-        seen = f"quality {self.quality:.2f}  visible {self.visible_fraction:.0%}  "
-        return f"{seen}x {x:+.3f} y {y:+.3f} z {z:.3f} m"
+        fit = f"quality {self.quality:.2f}  visible {self.visible_fraction:.0%}"
+        return f"{fit}  x {x:+.3f} y {y:+.3f} z {z:.3f} m"
 
 
 @dataclass(frozen=True)
@@ -132,13 +132,13 @@ def detect_ball(
 def colour_mask(rgb: np.ndarray, colour: BallColour) -> np.ndarray:
     """Mask of the pixels with the ball's colour, uint8 0 or 255, shape (H, W)."""
     hsv = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV)
-    least = (colour.min_saturation, colour.min_value)
+    darkest = (colour.min_saturation, colour.min_value)
     mask = np.zeros(hsv.shape[:2], np.uint8)
     for wrap in (-180, 0, 180):  # hues are a circle
         low = max(colour.hue - colour.hue_width + wrap, 0)
         high = min(colour.hue + colour.hue_width + wrap, 179)
         if low <= high:
-            mask |= cv2.inRange(hsv, (low, *least), (high, 255, 255))
+            mask |= cv2.inRange(hsv, (low, *darkest), (high, 255, 255))
     return mask
 
 
@@ -190,19 +190,19 @@ def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
     The first layer, as deep as a ball, is the one with most pixels. The next ones are searched in
     the remaining pixels.
     """
-    depth, left = blob.depths(scene.depth_m)
-    radius_m, found = scene.radius_m, []
+    depth, remaining = blob.depths(scene.depth_m)
+    radius_m, balls = scene.radius_m, []
     # Depth is often lost at edges: close the resulting gaps in the outline.
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     for _ in range(4):  # layers; with only two, one ball in forty is missed
-        values = np.sort(depth[left])
+        values = np.sort(depth[remaining])
         if len(values) < ACCEPT.pixels:
             break
         ends = np.searchsorted(values, values + 1.5 * radius_m, side="right")
         start = int(np.argmax(ends - np.arange(len(values))))
         near = values[start] - 0.25 * radius_m
-        layer = left & (depth >= near) & (depth <= near + 1.75 * radius_m)
-        left &= ~layer
+        layer = remaining & (depth >= near) & (depth <= near + 1.75 * radius_m)
+        remaining &= ~layer
         if np.count_nonzero(layer) > 0.98 * blob.pixels:  # the whole blob was tried before
             break
         mask = np.zeros_like(scene.mask)
@@ -211,8 +211,8 @@ def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
         for piece in _blobs(part, blob.box.u0, blob.box.v0):
             ball = _evaluate(piece, replace(scene, mask=mask))
             if isinstance(ball, BallDetection):
-                found.append(ball)
-    return found
+                balls.append(ball)
+    return balls
 
 
 def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
@@ -228,7 +228,7 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
     distance_m = float(median(box_depth[known]) / middle[2]) + 0.7 * radius_m
     expected_px = _outline_area_px(middle, distance_m, radius_m, camera)
     share = blob.pixels / expected_px
-    other = Miss(
+    miss = Miss(
         f"an object of the ball's colour, {distance_m:.2f} m away, is as large as a ball of "
         f"{1e3 * radius_m * np.sqrt(share):.0f} mm radius, not a ball of {1e3 * radius_m:.0f} mm: "
         "check ball_radius_m, uncover the ball, align depth to colour (align_depth.enable:=true)",
@@ -236,7 +236,7 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
     )
     nearest_m = ACCEPT.nearest_radii * radius_m
     if distance_m < nearest_m or not ACCEPT.least_area < share < ACCEPT.most_area:
-        return other
+        return miss
     pad = 3 + max(0, int(2.4 * np.sqrt(expected_px / np.pi)) - min(box.width, box.height))
     patch, coloured = _cut_out(blob, scene, pad)
     rays = patch.rays()
@@ -247,9 +247,9 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
         or fit.arc < ACCEPT.arc
         or fit.residual_m > ACCEPT.residual_radii * radius_m
     ):
-        return other
+        return miss
     ball = _measured(patch, coloured, rays, fit, radius_m)
-    return other if ball.visible_fraction < ACCEPT.visible_fraction else ball
+    return miss if ball.visible_fraction < ACCEPT.visible_fraction else ball
 
 
 def _cut_out(blob: _Blob, scene: _Scene, pad: int) -> tuple[Patch, np.ndarray]:

@@ -65,8 +65,8 @@ class Detector:
             depth = None if depth_m is None else rectifier.depth(depth_m, region)
             part_of_view = region.view(view)
             sighting = self.search(stamp_s, rectifier.colour(rgb, region), depth, part_of_view)
-            found = sighting.detection
-            if found is not None and region.contains(found.box(view).grown(0, view)):
+            body = sighting.detection
+            if body is not None and region.contains(body.box(view).grown(0, view)):
                 break
         # A refused one must not move the window: the body may still be where it was.
         self._last = sighting.accepted

@@ -177,11 +177,11 @@ class DetectorNode(ros.FvsNode):
     # --- outputs ---
 
     def _publish(self, pair: Pair, sighting: Sighting) -> None:
-        seen = sighting.accepted
-        if seen is None:
+        body = sighting.accepted
+        if body is None:
             return
         exposed_s = pair.stamp_s - self._config.stamp_delay_s
-        z = self._kind.of_body(seen.position_m, seen.rotation)
+        z = self._kind.of_body(body.position_m, body.rotation)
         message = ros.to_feature(exposed_s, pair.colour.header.frame_id, self._kind, z)
         if exposed_s == pair.stamp_s:
             message.header.stamp = pair.colour.header.stamp  # to the nanosecond, as it came
@@ -255,14 +255,14 @@ class DetectorNode(ros.FvsNode):
         if state != self._logged and now_s - self._logged_s > 3.0:
             self._logged, self._logged_s = state, now_s
             self.tell(level, f"{state}: {reason}")
-        seen = self._sighting and self._sighting.detection
+        body = self._sighting and self._sighting.detection
         rate_hz = self._published.report(now_s)["rate_hz"]
         self.publish_status(
             level,
             state,
             reason,
             {
-                **{key: getattr(seen, key, None) for key in self._detector.measured},
+                **{key: getattr(body, key, None) for key in self._detector.measured},
                 "latency_s": self._latency_s,
                 "published_rate_hz": rate_hz if state == TRACKING else 0.0,
                 "offset_s": self._pairing.offset_s,

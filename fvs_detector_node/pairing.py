@@ -70,7 +70,7 @@ class Pairing:
                 return Pair(colour_s, colour, None)
             if not depths:
                 return None
-            depth_s, depth = min(depths, key=lambda one: abs(one[0] - colour_s))
+            depth_s, depth = min(depths, key=lambda image: abs(image[0] - colour_s))
             self.offset_s = depth_s - colour_s
             if abs(self.offset_s) <= self._tolerance_s:
                 for waiting, stamp_s in ((colours, colour_s), (depths, depth_s)):

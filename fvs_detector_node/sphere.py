@@ -97,19 +97,19 @@ def fit_sphere(
     own = own[known]
     range_m = depth_m[known] / own[:, 2]
     pixel_rad = float(direction[2] / np.sqrt(patch.view.fx * patch.view.fy))
-    for turn in range(3):
+    for iteration in range(3):
         before_m = distance_m
         # An edge against a nearer object is not the sphere's outline.
         free = outline[outside_m >= distance_m * direction[2] - 0.5 * radius_m]
         direction, on_outline, arc = _fit_direction(
-            free, direction, distance_m, radius_m, pixel_rad=pixel_rad, search=turn == 0
+            free, direction, distance_m, radius_m, pixel_rad=pixel_rad, search=iteration == 0
         )
         surface = _distances(own, range_m, direction, radius_m)
         if surface is None:
             return None
         distances_m, shape = surface
         distance_m = float(distances_m.mean())
-        if turn > 0 and abs(distance_m - before_m) < 2e-4:
+        if iteration > 0 and abs(distance_m - before_m) < 2e-4:
             break
     residual_m = _systematic(distances_m - distance_m, shape)
     return SphereFit(direction, distance_m, on_outline, arc, residual_m, pixel_rad)
@@ -135,8 +135,8 @@ def _outline(patch: Patch) -> tuple[np.ndarray, np.ndarray]:
     """
     inside = patch.inside
     # Depth is often lost at an edge: take the nearest thing within two pixels.
-    others = np.where(inside | (patch.depth_m <= 0.0), np.inf, patch.depth_m).astype(np.float32)
-    nearest = cv2.erode(others, np.ones((5, 5), np.uint8))
+    outside = np.where(inside | (patch.depth_m <= 0.0), np.inf, patch.depth_m).astype(np.float32)
+    nearest = cv2.erode(outside, np.ones((5, 5), np.uint8))
     v_h, u_h = np.nonzero(inside[:, 1:] != inside[:, :-1])
     v_v, u_v = np.nonzero(inside[1:, :] != inside[:-1, :])
     outside_m = np.concatenate(
@@ -165,21 +165,21 @@ def _fit_direction(
     x, y, z = direction
     axes = np.array([[z, 0.0, -x], [-x * y, x * x + z * z, -y * z]])
     axes /= np.sqrt(x * x + z * z)
-    seen = np.vstack([axes, direction]) @ rays.T
-    points = seen[:2] / seen[2]
+    along_axes = np.vstack([axes, direction]) @ rays.T
+    points = along_axes[:2] / along_axes[2]
     radius = radius_m / np.sqrt(distance_m**2 - radius_m**2)
     tolerance = max(ACCEPT.circle_px * pixel_rad, ACCEPT.circle * radius)
 
     centre = _refine_circle(points, radius, np.zeros(2), 2.5 * tolerance)
-    off = np.abs(_lengths(points, centre) - radius)
-    if search and np.count_nonzero(off < tolerance) < ACCEPT.sure_outline * len(off):
+    errors = np.abs(_lengths(points, centre) - radius)
+    if search and np.count_nonzero(errors < tolerance) < ACCEPT.sure_outline * len(errors):
         start = _search_circle(points, radius, tolerance)
         if start is not None:
             centre = _refine_circle(points, radius, start, 1.5 * tolerance)
-            off = np.abs(_lengths(points, centre) - radius)
-    on = int(np.count_nonzero(off < tolerance))
+            errors = np.abs(_lengths(points, centre) - radius)
+    on = int(np.count_nonzero(errors < tolerance))
     # A circle of radius n pixels crosses from pixel to pixel 8 n times.
-    return unit(direction + centre @ axes), on / len(off), on * pixel_rad / (8.0 * radius)
+    return unit(direction + centre @ axes), on / len(errors), on * pixel_rad / (8.0 * radius)
 
 
 def _lengths(points: np.ndarray, origin: np.ndarray) -> np.ndarray:
@@ -221,13 +221,13 @@ def _search_circle(points: np.ndarray, radius: float, tolerance: float) -> np.nd
     usable = (half > 0.25 * radius) & (half < radius)
     if not usable.any():
         return None
-    one, other, half = chosen[:, first[usable]], chosen[:, second[usable]], half[usable]
-    chord, middle = other - one, 0.5 * (one + other)
+    start, end, half = chosen[:, first[usable]], chosen[:, second[usable]], half[usable]
+    chord, middle = end - start, 0.5 * (start + end)
     height = np.sqrt(radius**2 - half**2)
     across = np.stack([-chord[1], chord[0]]) * (height / (2.0 * half))
     centres = np.concatenate([middle + across, middle - across], axis=1)
-    off = _lengths(points[:, None], centres[..., None]) - radius
-    return centres[:, int(np.argmax(np.sum(np.abs(off) < tolerance, axis=1)))]
+    errors = _lengths(points[:, None], centres[..., None]) - radius
+    return centres[:, int(np.argmax(np.sum(np.abs(errors) < tolerance, axis=1)))]
 
 
 # -------------------------------------------------------------------------------- distance
@@ -245,23 +245,23 @@ def _distances(
     if len(central) < ACCEPT.pixels:
         return None
     values = range_m[central] * cos[central] + np.sqrt(radius_m**2 - sideways2[central])
-    off = np.abs(values - median(values))
+    errors = np.abs(values - median(values))
     # 1.4826 times the median is a normal deviation; depth comes in whole millimetres.
-    near = off < ACCEPT.deviations * max(1.4826 * median(off), 0.001)
+    near = errors < ACCEPT.deviations * max(1.4826 * median(errors), 0.001)
     central, values = central[near], values[near]
     if len(central) < ACCEPT.pixels:
         return None
     return values, np.vstack([rays[central, :2].T, sideways2[central]])
 
 
-def _systematic(off_m: np.ndarray, shape: np.ndarray) -> float:
+def _systematic(errors_m: np.ndarray, shape: np.ndarray) -> float:
     """Rms deviation explained by a tilt or a wrong bulge, minus the part due to noise, m."""
-    count = len(off_m)
+    count = len(errors_m)
     shape = shape - shape.mean(axis=1, keepdims=True)
     shape /= np.abs(shape).max(axis=1, keepdims=True) + 1e-12
     normal = shape @ shape.T + 1e-9 * count * np.eye(len(shape))
-    model = np.linalg.solve(normal, shape @ off_m) @ shape
-    noise2 = float((off_m - model) @ (off_m - model)) / count
+    model = np.linalg.solve(normal, shape @ errors_m) @ shape
+    noise2 = float((errors_m - model) @ (errors_m - model)) / count
     # Neighbouring pixels share part of their noise, hence twice the parameters' share.
     systematic2 = float(model @ model) / count - 2.0 * len(shape) * noise2 / count
     return float(np.sqrt(max(0.0, systematic2)))

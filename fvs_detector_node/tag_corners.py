@@ -49,7 +49,7 @@ FIT = Fitting()
 _UNIFORM = 12.0**-0.5
 #: The normal distribution, tabulated: SciPy's takes a quarter of a second to import.
 _DEVIATIONS = np.linspace(-6.0, 6.0, 2401)
-_NORMAL = np.array([0.5 * erfc(-one / 2.0**0.5) for one in _DEVIATIONS])
+_NORMAL = np.array([0.5 * erfc(-x / 2.0**0.5) for x in _DEVIATIONS])
 #: The tag's corners in the frame of the fit, homogeneous, (4, 3).
 _SQUARE = np.array([[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
 #: Small homographies are 1 plus these times the eight unknowns, (8, 3, 3).
@@ -89,33 +89,36 @@ class TagReader:
         perimeter_px = 0.6 * 4.0 * FIT.cell_px * self.tag.cells
         self._options.minMarkerPerimeterRate = min(perimeter_px / max(grey.shape), 4.0)
         self._detector.setDetectorParameters(self._options)
-        quads, numbers, others = self._detector.detectMarkers(grey)
-        seen = [] if numbers is None else numbers.ravel().tolist()
-        found, problem = {}, ""
-        for quad, number in zip(quads, seen, strict=True):
+        quads, ids, rejected = self._detector.detectMarkers(grey)
+        numbers = [] if ids is None else ids.ravel().tolist()
+        tags, problem = {}, ""
+        for quad, number in zip(quads, numbers, strict=True):
             if number not in self.tag.faces:
                 continue
-            if seen.count(number) > 1:
-                return {}, f"{seen.count(number)} tags have the number {number}: cover all but one"
+            if numbers.count(number) > 1:
+                return (
+                    {},
+                    f"{numbers.count(number)} tags have the number {number}: cover all but one",
+                )
             corners = self._patterns[number].fitted(grey, quad.reshape(4, 2))
             if corners is None:
                 problem = "the tag's pattern is not clear: is it covered, or the light too poor?"
             elif across_px(corners.px) < FIT.cell_px * self.tag.cells:
                 problem = "the tag is too small in the image: bring it nearer or print it larger"
             else:
-                found[number] = corners
-        if found:
-            return dict(sorted(found.items())), ""
+                tags[number] = corners
+        if tags:
+            return dict(sorted(tags.items())), ""
         if problem:
             return {}, problem
         first, last = min(self.tag.faces), max(self.tag.faces)
-        wanted = f"tag {first}" if first == last else f"none of the tags {first} to {last}"
-        wanted += f" of {self.tag.tag_dictionary} is {'not ' if first == last else ''}in view"
-        if seen:
-            return {}, f"{wanted}; seen are {sorted(set(seen))[:8]}: check tag_id"
-        if others:
-            return {}, f"{wanted}, nor another: is tag_dictionary right, the print not mirrored?"
-        return {}, f"{wanted}: is it covered, too far, blurred, or without a white border?"
+        missing = f"tag {first}" if first == last else f"none of the tags {first} to {last}"
+        missing += f" of {self.tag.tag_dictionary} is {'not ' if first == last else ''}in view"
+        if numbers:
+            return {}, f"{missing}; seen are {sorted(set(numbers))[:8]}: check tag_id"
+        if rejected:
+            return {}, f"{missing}, nor another: is tag_dictionary right, the print not mirrored?"
+        return {}, f"{missing}: is it covered, too far, blurred, or without a white border?"
 
 
 def across_px(corners_px: np.ndarray) -> float:
@@ -145,18 +148,18 @@ class _Pattern:
         px = 4.0 / (sides_px[:2] + sides_px[2:])  # in the frame of the fit
         blur, light = np.full(2, FIT.blur_cells * self._pitch), np.zeros(6)
         weights = np.ones((self._lines.size * len(FIT.steps)) ** 2)
-        for turn in range(FIT.rounds):
+        for iteration in range(FIT.rounds):
             step = np.minimum(np.maximum(FIT.step_px * px, blur), FIT.step_cells * self._pitch)
             x, y = (self._lines[:, None] + (step[:, None] * FIT.steps)[:, None]).reshape(2, -1)
-            places = matrix @ [np.tile(x, y.size), np.repeat(y, x.size), np.ones(weights.size)]
-            u, v = (places[:2] / places[2]).astype(np.float32).reshape(2, y.size, x.size)
+            samples = matrix @ [np.tile(x, y.size), np.repeat(y, x.size), np.ones(weights.size)]
+            u, v = (samples[:2] / samples[2]).astype(np.float32).reshape(2, y.size, x.size)
             values = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             values = values.ravel().astype(float)
             slopes = self._slopes(x, y, blur, light, values)
             residual = values - light @ slopes[10:]
             # Until the pattern is about in place, its blur is as guessed, and nothing is hidden.
-            free = slice(16) if turn else np.r_[:8, 12:16]
-            if turn:
+            free = slice(16) if iteration else np.r_[:8, 12:16]
+            if iteration:
                 spread = 1.4826 * np.median(np.abs(residual)) + _UNIFORM
                 weights = (1.0 + np.square(residual / (FIT.outlier * spread))) ** -2
             weighted = slopes[free] * weights
@@ -167,18 +170,18 @@ class _Pattern:
             matrix = matrix @ np.linalg.inv(np.eye(3) + np.tensordot(step[:8], _SMALL, 1))
             if (_SQUARE @ matrix[2]).min() <= 0.0:  # The tag would go through the camera.
                 return None
-            least = np.maximum(_UNIFORM * px, 0.5 * blur)
-            blur = np.clip(blur + step[8:10], least, np.maximum(least, 2.0 * blur))
+            sharpest = np.maximum(_UNIFORM * px, 0.5 * blur)
+            blur = np.clip(blur + step[8:10], sharpest, np.maximum(sharpest, 2.0 * blur))
             light += step[10:]
-            if turn > 1 and (np.abs(step[:8]).max() < FIT.still_px * px).all():
+            if iteration > 1 and (np.abs(step[:8]).max() < FIT.still_px * px).all():
                 break
         variance = weights @ np.square(values - np.average(values, weights=weights))
         if not weights @ np.square(residual) < (1.0 - FIT.explained) * variance:
             return None
         # What is unexplained has the same cause around one crossing of lines. The sums over these
         # surroundings are independent, and their scatter gives the covariance.
-        around = (self._lines.size, len(FIT.steps)) * 2
-        sums = (weighted * residual).reshape(16, *around).sum(axis=(2, 4)).reshape(16, -1)
+        crossings = (self._lines.size, len(FIT.steps)) * 2
+        sums = (weighted * residual).reshape(16, *crossings).sum(axis=(2, 4)).reshape(16, -1)
         scatter = np.linalg.solve(normal, sums)
         scatter *= (sums.shape[1] / (sums.shape[1] - 16)) ** 0.5
         # The black square is what has a size, with the ink's spread.
@@ -194,7 +197,7 @@ class _Pattern:
         ``light``, (6,), is guessed from the values if it is not known.
         """
         (at_x, to_right, wider), (at_y, down, higher) = (
-            _edges(one, self._lines, deviation) for one, deviation in zip((x, y), blur, strict=True)
+            _edges(along, self._lines, width) for along, width in zip((x, y), blur, strict=True)
         )
         row, column = x[None, :], y[:, None]
         slopes = np.empty((16, y.size, x.size))
@@ -220,10 +223,10 @@ def _edges(x: np.ndarray, lines: np.ndarray, blur: float) -> np.ndarray:
 
     With their slopes by x and by the blur: (3, N, lines + 1).
     """
-    off = (x[:, None] - lines) / blur
-    bell = np.exp(-0.5 * off * off) / (np.sqrt(2.0 * np.pi) * blur)
+    distances = (x[:, None] - lines) / blur
+    bell = np.exp(-0.5 * distances**2) / (np.sqrt(2.0 * np.pi) * blur)
     shares = np.zeros((3, x.size, lines.size + 1))
-    shares[..., 1:] = np.interp(off, _DEVIATIONS, _NORMAL), bell, -bell * off
+    shares[..., 1:] = np.interp(distances, _DEVIATIONS, _NORMAL), bell, -bell * distances
     shares[..., :-1] -= shares[..., 1:]
     shares[0, :, 0] += 1.0
     return shares
@@ -231,8 +234,8 @@ def _edges(x: np.ndarray, lines: np.ndarray, blur: float) -> np.ndarray:
 
 def _corners(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A tag's corners, px, (4, 2), and their slopes by the eight unknowns, (8, 8)."""
-    places = _SQUARE @ matrix.T
-    corners_px = places[:, :2] / places[:, 2:]
+    corners = _SQUARE @ matrix.T
+    corners_px = corners[:, :2] / corners[:, 2:]
     moves = np.einsum("ij,kjl,cl->kci", matrix, _SMALL, _SQUARE)
-    moves = (moves[..., :2] - corners_px * moves[..., 2:]) / places[:, 2:]
+    moves = (moves[..., :2] - corners_px * moves[..., 2:]) / corners[:, 2:]
     return corners_px, moves.reshape(8, 8)

@@ -114,7 +114,7 @@ class PoseFinder:
 
         Takes the exposure, s, and by the tags' numbers their corners; at least one.
         """
-        covariances_px2 = np.array([one.covariance_px2 for one in corners.values()])
+        covariances_px2 = np.array([tag.covariance_px2 for tag in corners.values()])
         # Multiplied by these, corners have a deviation of one.
         scales, cautious = (
             np.linalg.inv(np.linalg.cholesky(covariances_px2 + floor_px**2 * np.eye(8)))
@@ -132,7 +132,7 @@ class PoseFinder:
             and corners.keys() <= set(self._tag.facing(fit.pose.rotation, fit.pose.position_m))
         ]
         fits.sort(key=lambda fit: fit.chi2)
-        sides_px = [one.px - np.roll(one.px, 1, axis=0) for one in corners.values()]
+        sides_px = [tag.px - np.roll(tag.px, 1, axis=0) for tag in corners.values()]
         most_px = ACCEPT.residual_sides * np.sqrt(2.0 * np.square(sides_px).mean())
         if not fits or not fits[0].pose.residual_px <= most_px:
             return None, "the corners do not fit: is the tag bent or covered, is tag_layout right?"
@@ -152,16 +152,16 @@ class PoseFinder:
         self, corners: dict[int, Corners], matrix: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """The two poses of the largest tag, as the whole's rotation and position, m."""
-        number = max(corners, key=lambda one: cv2.contourArea(corners[one].px.astype(np.float32)))
+        number = max(corners, key=lambda tag: cv2.contourArea(corners[tag].px.astype(np.float32)))
         face = self._tag.faces[number]
-        _, turns, shifts, _ = cv2.solvePnPGeneric(
+        _, vectors, shifts, _ = cv2.solvePnPGeneric(
             self._tag.tag_size_m * SQUARE,
             corners[number].px,
             matrix,
             None,
             flags=cv2.SOLVEPNP_IPPE_SQUARE,
         )
-        rotations = [cv2.Rodrigues(turn)[0] @ face.rotation.T for turn in turns]
+        rotations = [cv2.Rodrigues(vector)[0] @ face.rotation.T for vector in vectors]
         return [
             (rotation, shift.ravel() - rotation @ face.middle_m)
             for rotation, shift in zip(rotations, shifts, strict=True)
@@ -178,7 +178,7 @@ class PoseFinder:
     ) -> _Fit:
         """The pose that fits all corners best, from one that is about right."""
         points_m = np.concatenate([self._tag.faces[number].corners_m for number in corners])
-        corners_px = np.array([one.px for one in corners.values()]).reshape(-1, 8, 1)
+        corners_px = np.array([tag.px for tag in corners.values()]).reshape(-1, 8, 1)
         for _ in range(10):
             back_px, all_slopes = cv2.projectPoints(
                 points_m @ rotation.T, np.zeros(3), position_m, matrix, np.zeros(4)
@@ -197,19 +197,19 @@ class PoseFinder:
         pose = TagPose(position_m, rotation, self._tag, tuple(corners), residual_px)
         return _Fit(pose, residuals, slopes, float(np.square(cautious @ off_px).sum()))
 
-    def _choice(self, stamp_s: float, first: _Fit, other: _Fit | None = None) -> _Fit | None:
+    def _choice(self, stamp_s: float, first: _Fit, second: _Fit | None = None) -> _Fit | None:
         """The fit that is certain, of two; None if neither is."""
-        if other is None or _apart_rad(first, other.pose.rotation) < ACCEPT.same_rad:
+        if second is None or _apart_rad(first, second.pose.rotation) < ACCEPT.same_rad:
             return first
-        certain = other.chi2 - first.chi2 > ACCEPT.certain
+        certain = second.chi2 - first.chi2 > ACCEPT.certain
         if self._last is None or not 0.0 < stamp_s - self._last[0] <= ACCEPT.last_s:
             return first if certain else None
         reach_rad = 2.0 * ACCEPT.angle_rad + ACCEPT.turn_rad_s * (stamp_s - self._last[0])
-        to_first, to_other = (_apart_rad(one, self._last[1]) for one in (first, other))
-        if to_other <= reach_rad < to_first:
+        to_first, to_second = (_apart_rad(fit, self._last[1]) for fit in (first, second))
+        if to_second <= reach_rad < to_first:
             # A corner that is off can make the wrong one certain.
-            return None if certain else other
-        return first if certain or to_first <= reach_rad < to_other else None
+            return None if certain else second
+        return first if certain or to_first <= reach_rad < to_second else None
 
 
 def _apart_rad(fit: _Fit, rotation: np.ndarray) -> float:

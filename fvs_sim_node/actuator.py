@@ -56,9 +56,9 @@ class Actuator:
 
         fastest = self._max_speed_rad_s
         scaling = config.speed_scaling_percent / 100.0
-        wanted = _within(self._in_effect * scaling, -fastest, fastest)
-        change, most = wanted - self._ramped, config.acceleration_limit_rad_s2 * self._dt_s
-        self._ramped = self._ramped + _within(change, -most, most)
+        limited = _within(self._in_effect * scaling, -fastest, fastest)
+        change, largest = limited - self._ramped, config.acceleration_limit_rad_s2 * self._dt_s
+        self._ramped = self._ramped + _within(change, -largest, largest)
         self._lagged = self._lagged + self._share_of(config.lag_s) * (self._ramped - self._lagged)
         unstopped = self._lagged
         if config.joint_lag_s > 0.0:

@@ -27,8 +27,8 @@ class CameraPose:
 
     def turned(self, rotation_rad: np.ndarray) -> CameraPose:
         """The same turned about its centre by a rotation vector of its frame, rad, shape (3,)."""
-        turn = cv2.Rodrigues(np.asarray(rotation_rad, dtype=float))[0]
-        return CameraPose(self.position_m, self.rotation @ turn)
+        rotation = cv2.Rodrigues(np.asarray(rotation_rad, dtype=float))[0]
+        return CameraPose(self.position_m, self.rotation @ rotation)
 
     def moved(self, translation_m: np.ndarray) -> CameraPose:
         """The same moved by a vector of the world frame, m, shape (3,)."""

@@ -115,8 +115,8 @@ class SimConfig(CommandInterface):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.physics_rate_hz:
-            least = ceil(500.0 / self.joint_state_rate_hz) * self.joint_state_rate_hz
-            object.__setattr__(self, "physics_rate_hz", least)
+            rate_hz = ceil(500.0 / self.joint_state_rate_hz) * self.joint_state_rate_hz
+            object.__setattr__(self, "physics_rate_hz", rate_hz)
         steps = self.physics_rate_hz / self.joint_state_rate_hz
         if abs(steps - round(steps)) > 1e-9 or steps < 1.0:
             raise ValueError(

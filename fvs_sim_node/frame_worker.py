@@ -44,11 +44,11 @@ class FrameWorker:
         theirs.close()
         self._busy = False
 
-    def expose(self, seen: Observation, depth_noise: float) -> bool:
+    def expose(self, observation: Observation, depth_noise: float) -> bool:
         """Request a frame; False if it is skipped, because the worker is still busy."""
         if self._busy:
             return False
-        self._pipe.send((seen, depth_noise))
+        self._pipe.send((observation, depth_noise))
         self._busy = True
         return True
 
@@ -82,10 +82,10 @@ def _work(pipe: Connection, memory: tuple[Any, Any], config: SimConfig) -> None:
     rgb, depth_m = _arrays(memory, config)
     with contextlib.suppress(EOFError, OSError):  # the other end was closed
         while True:
-            seen, depth_noise = pipe.recv()
-            world.reset(seen.joints_rad)
+            observation, depth_noise = pipe.recv()
+            world.reset(observation.joints_rad)
             world.place_ball()
-            frame = photograph(seen, world, renderer, rng, depth_noise)
+            frame = photograph(observation, world, renderer, rng, depth_noise)
             rgb[:], depth_m[:] = frame.rgb, frame.depth_m
             pipe.send(frame.stamp_s)
     world.close()

@@ -61,7 +61,7 @@ class SimNode(ros.FvsNode):
         self._paused_active: bool | None = None  # was the controller, when the pause began?
         self._joint_states = self.publisher(topics.JOINT_STATES)
         self._kind = self._sim.kind
-        self._seen = self.publisher(self._kind.topics.tool)
+        self._feature = self.publisher(self._kind.topics.tool)
         self._truth = self.publisher(self._kind.topics.truth)
         self._true_jacobian = self.publisher(topics.TRUE_JACOBIAN)
         self._camera_pose = self.publisher(topics.TRUE_CAMERA_POSE)
@@ -93,10 +93,10 @@ class SimNode(ros.FvsNode):
         if config.simulated_time:
             self._base_s = 1.0  # zero means "no time" to ROS
             self._clock_topic = self.publisher(topics.CLOCK)
-            others = [topics.JACOBIAN]
+            answers = [topics.JACOBIAN]
             if not config.publish_ball_position:  # a detector does
-                others.append(self._kind.topics.tool)
-            for topic in others:
+                answers.append(self._kind.topics.tool)
+            for topic in answers:
                 self.subscribe(topic, partial(self._answer, topic.name), ros.QOS_RELIABLE)
             self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
         else:
@@ -175,19 +175,19 @@ class SimNode(ros.FvsNode):
         message.effort = [0.0] * len(self._names)
         self._joint_states.publish(message)
 
-    def _publish_observation(self, seen: Observation) -> None:
-        stamp_s = self._base_s + seen.stamp_s
+    def _publish_observation(self, observation: Observation) -> None:
+        stamp_s = self._base_s + observation.stamp_s
         if self._info.get_subscription_count():
             self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
-        if seen.z is not None and self._config.publish_ball_position:
-            self._seen.publish(ros.to_feature(stamp_s, self._frame, self._kind, seen.z))
-        if seen.frame is not None:
-            self._publish_frame(seen.frame)
+        if observation.z is not None and self._config.publish_ball_position:
+            self._feature.publish(ros.to_feature(stamp_s, self._frame, self._kind, observation.z))
+        if observation.frame is not None:
+            self._publish_frame(observation.frame)
             return
-        due = self._watched and self._frame_is_due(seen.stamp_s)
+        due = self._watched and self._frame_is_due(observation.stamp_s)
         noise = self._sim.config.depth_noise
-        if self._worker is not None and due and self._worker.expose(seen, noise):
-            self._exposed_s = seen.stamp_s
+        if self._worker is not None and due and self._worker.expose(observation, noise):
+            self._exposed_s = observation.stamp_s
 
     def _frame_is_due(self, stamp_s: float) -> bool:
         passed_s = stamp_s - self._exposed_s

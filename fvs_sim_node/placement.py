@@ -56,13 +56,13 @@ class Placement:
         drawn = 0.5 * (self._upper + self._lower) + self._all_over * free
         inside = self._box_rad * self._inside
         best = drawn[np.argsort(-self._readiness(drawn))[:_BEST]]
-        worst = [np.quantile(self._readiness(one + inside), 0.05) for one in best]
+        worst = [np.quantile(self._readiness(home + inside), 0.05) for home in best]
         return best[int(np.argmax(worst))]
 
     def _readiness(self, joints_rad: np.ndarray) -> np.ndarray:
         ball_m, jacobian = self._chain.position_and_jacobian(joints_rad)
-        least = np.linalg.svd(jacobian, compute_uv=False)[..., -1]
-        return np.where(ball_m[..., 2] > 0.0, least, 0.0)
+        smallest = np.linalg.svd(jacobian, compute_uv=False)[..., -1]
+        return np.where(ball_m[..., 2] > 0.0, smallest, 0.0)
 
     def camera(
         self,
@@ -84,7 +84,7 @@ class Placement:
             for elevation in _ELEVATIONS_RAD[name]
             for azimuth in np.linspace(0.0, 2.0 * np.pi, _AZIMUTHS, endpoint=False)
         ]
-        share = np.mean([hidden(one, poses) for one in joints], axis=0)
+        share = np.mean([hidden(joints_rad, poses) for joints_rad in joints], axis=0)
         far_m = [np.linalg.norm(pose.position_m - middle_m) for pose in poses]
         return poses[int(np.argmin(share + _CLOSER * np.array(far_m)))]
 
@@ -97,7 +97,7 @@ class Placement:
             pose = CameraPose.looking(tuple(middle_m + distance_m * direction), tuple(middle_m))
             seen_m = pose.to_camera(balls_m)
             if seen_m[:, 2].min() > _LEAST_DEPTH_M:
-                place = intrinsics.project(seen_m) / size
-                if place.min() > _EDGE and place.max() < 1.0 - _EDGE:
+                shares = intrinsics.project(seen_m) / size
+                if shares.min() > _EDGE and shares.max() < 1.0 - _EDGE:
                     break
         return pose

@@ -113,16 +113,16 @@ def robot_description(
     """
     path, missing = robot.file(), set[str]()
     root = read_robot(path.read_bytes())
-    for one in root.iter():
-        named = _NAMED.get(one.tag, "")
-        if named in one.attrib:
-            one.set(named, tf_prefix + one.attrib[named])
+    for element in root.iter():
+        name = _NAMED.get(element.tag, "")
+        if name in element.attrib:
+            element.set(name, tf_prefix + element.attrib[name])
     for geometry in root.iter("geometry"):
         for mesh in geometry.findall("mesh"):
             name = mesh.get("filename", "")
-            found = find_mesh(name, path)
-            if found:
-                mesh.set("filename", f"file://{found}")
+            file = find_mesh(name, path)
+            if file:
+                mesh.set("filename", f"file://{file}")
             else:
                 missing.add(name)
                 geometry.remove(mesh)

@@ -31,9 +31,9 @@ def box(
 def sphere(client: BulletClient, radius_m: float, rgba: tuple[float, ...]) -> int:
     """A sphere: PyBullet draws its own 5 % too small."""
     rows, columns = 18, 36
-    polar, around = np.mgrid[: rows + 1, :columns] * np.pi / rows
+    polar, azimuth = np.mgrid[: rows + 1, :columns] * np.pi / rows
     normals = np.stack(
-        [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)]
+        [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
     )
     row, column = np.mgrid[:rows, :columns]
     here, beside = row * columns + column, row * columns + (column + 1) % columns

@@ -56,7 +56,7 @@ class SimStep:
 
 
 def photograph(
-    seen: Observation,
+    observation: Observation,
     world: World,
     renderer: Renderer,
     rng: np.random.Generator,
@@ -64,12 +64,14 @@ def photograph(
 ) -> Frame:
     """Draw the full image of an exposure; the world must still be in the state of that time."""
     camera = renderer.intrinsics
-    if seen.covered:
+    if observation.covered:
         shape = (camera.height, camera.width)
-        return Frame(seen.stamp_s, np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32))
-    rgb, depth_m = renderer.render(seen.camera)
-    world.paint(rgb, depth_m, camera, seen.camera, seen.velocities_rad_s, rng)
-    return Frame(seen.stamp_s, rgb, add_depth_noise(depth_m, camera.fx, rng, depth_noise))
+        return Frame(
+            observation.stamp_s, np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
+        )
+    rgb, depth_m = renderer.render(observation.camera)
+    world.paint(rgb, depth_m, camera, observation.camera, observation.velocities_rad_s, rng)
+    return Frame(observation.stamp_s, rgb, add_depth_noise(depth_m, camera.fx, rng, depth_noise))
 
 
 class Simulation:
@@ -167,8 +169,7 @@ class Simulation:
         """
         config = self.config
         if joints_rad is None:
-            given = config.initial_joints_rad
-            joints_rad = given if len(given) else self.world.home_rad
+            joints_rad = config.initial_joints_rad or self.world.home_rad
         joints = np.array(joints_rad, dtype=float)
         if joints.shape != self.world.lower_rad.shape or not np.isfinite(joints).all():
             count = len(self.world.lower_rad)
@@ -228,9 +229,9 @@ class Simulation:
             )
         if not np.isfinite(command).all():
             return "a command that is not finite was dropped; the last one goes on"
-        away = np.zeros(1) if interface == VELOCITY else np.abs(command - joints)
-        if (away > _MOST_AWAY_S * self.world.max_speed_rad_s).any():
-            return f"a position that is {away.max():.2f} rad away from its joint was refused"
+        steps = np.zeros(1) if interface == VELOCITY else np.abs(command - joints)
+        if (steps > _MOST_AWAY_S * self.world.max_speed_rad_s).any():
+            return f"a position that is {steps.max():.2f} rad away from its joint was refused"
         return None
 
     def deactivate(self) -> None:
@@ -283,7 +284,7 @@ class Simulation:
         if config.rendered:
             self.world.place_ball()
         z, visible_fraction = self._measured()
-        seen = Observation(
+        observation = Observation(
             self.time_s,
             z,
             visible_fraction,
@@ -294,9 +295,11 @@ class Simulation:
             config.camera_covered,
         )
         if not self.full_frames:
-            return seen
-        frame = photograph(seen, self.world, self._renderer, self._frame_rng, config.depth_noise)
-        return replace(seen, frame=frame)
+            return observation
+        frame = photograph(
+            observation, self.world, self._renderer, self._frame_rng, config.depth_noise
+        )
+        return replace(observation, frame=frame)
 
     def _measured(self) -> tuple[np.ndarray | None, float]:
         """What is reported of ball or tag now, None if it is not seen, and its visible fraction."""
@@ -313,10 +316,11 @@ class Simulation:
             # As from a camera that sends only the region around the body: drawing takes long.
             region = body.grown(body.width // 8 + 8, camera)
             view = CameraModel(region.view(self._reported_intrinsics))
-            seen = self._detector.look(self.time_s, *self._draw(region), view).accepted
-            if seen is None:
+            detection = self._detector.look(self.time_s, *self._draw(region), view).accepted
+            if detection is None:
                 return None, 0.0
-            position_m, rotation, fraction = seen.position_m, seen.rotation, seen.visible_fraction
+            position_m, rotation = detection.position_m, detection.rotation
+            fraction = detection.visible_fraction
         return self._blurred(self.kind.of_body(position_m, rotation)), fraction
 
     def _draw(self, region: Region) -> tuple[np.ndarray, np.ndarray]:
@@ -342,8 +346,8 @@ class Simulation:
     @property
     def _reported_intrinsics(self) -> Intrinsics:
         """The intrinsics that the detection uses, with ``focal_error``."""
-        one, scale = self.intrinsics, 1.0 + self.config.focal_error
-        return replace(one, fx=scale * one.fx, fy=scale * one.fy)
+        true, scale = self.intrinsics, 1.0 + self.config.focal_error
+        return replace(true, fx=scale * true.fx, fy=scale * true.fy)
 
     # -------------------------------------------------------------------- truth
     def as_seen(self, position_m: np.ndarray) -> np.ndarray:

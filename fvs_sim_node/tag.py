@@ -127,13 +127,13 @@ class TagPicture:
 
 
 def exposed(
-    pose: CameraPose, linear_m_s: np.ndarray, turning_rad_s: np.ndarray, exposure_s: float
+    pose: CameraPose, linear_m_s: np.ndarray, angular_rad_s: np.ndarray, exposure_s: float
 ) -> list[CameraPose]:
     """Poses during an exposure about its middle, of a body that moves at these speeds, (3,)."""
     return [
         CameraPose(
             pose.position_m + after_s * linear_m_s,
-            cv2.Rodrigues(np.asarray(after_s * turning_rad_s))[0] @ pose.rotation,
+            cv2.Rodrigues(np.asarray(after_s * angular_rad_s))[0] @ pose.rotation,
         )
         for after_s in exposure_s * np.linspace(-0.5, 0.5, 5)
     ]

@@ -109,19 +109,19 @@ class World:
         """Find the joints from the root to the ball's link among PyBullet's."""
         count = self.client.getNumJoints(self._robot)
         infos = [self.client.getJointInfo(self._robot, index) for index in range(count)]
-        places = {info[1].decode(): info[0] for info in infos}
+        indices = {info[1].decode(): info[0] for info in infos}
         moving = [info[0] for info in infos if info[3] >= 0]
         self._link = next(info[0] for info in infos if info[12].decode() == link)
-        self.joints, self.joint_names = tuple(joints), tuple(one.name for one in joints)
-        self._joints = [places[name] for name in self.joint_names]
+        self.joints, self.joint_names = tuple(joints), tuple(joint.name for joint in joints)
+        self._joints = [indices[name] for name in self.joint_names]
         #: Their places among all joints that move.
         self._columns = [moving.index(joint) for joint in self._joints]
         self._moving = len(moving)
         # A UR turns no joint further, and neither do others in here.
-        self.lower_rad = np.maximum([one.lower for one in joints], -2.0 * np.pi)
-        self.upper_rad = np.minimum([one.upper for one in joints], 2.0 * np.pi)
-        self.max_speed_rad_s = np.array([one.velocity for one in joints])
-        self._prismatic = np.array([one.kind == "prismatic" for one in joints], dtype=float)
+        self.lower_rad = np.maximum([joint.lower for joint in joints], -2.0 * np.pi)
+        self.upper_rad = np.minimum([joint.upper for joint in joints], 2.0 * np.pi)
+        self.max_speed_rad_s = np.array([joint.velocity for joint in joints])
+        self._prismatic = np.array([joint.kind == "prismatic" for joint in joints], dtype=float)
         self._efforts_nm = [infos[joint][10] or _STRONG_NM for joint in self._joints]
 
     def _prepare_links(self) -> None:
@@ -136,10 +136,12 @@ class World:
 
         self._collide(False)
 
-    def _collide(self, whether: bool) -> None:
+    def _collide(self, collides: bool) -> None:
         """Without collisions neither self-contact nor the table pushes the arm."""
         for link in range(-1, self.client.getNumJoints(self._robot)):
-            self.client.setCollisionFilterGroupMask(self._robot, link, int(whether), -int(whether))
+            self.client.setCollisionFilterGroupMask(
+                self._robot, link, int(collides), -int(collides)
+            )
 
     def add_object(self, thing: SceneObject) -> int:
         """Put a thing into view; returns its body number."""
@@ -151,8 +153,7 @@ class World:
 
     def _mounted(self, config: SimConfig) -> np.ndarray:
         """The tag's rotation in its link: as somebody tapes it, at home before the camera."""
-        given = config.initial_joints_rad
-        home_rad = np.array(given) if given else self.home_rad
+        home_rad = np.array(config.initial_joints_rad or self.home_rad)
         camera = config.camera_pose or self.camera(config.camera, config.intrinsics)
         self.reset(home_rad)
         out = camera.position_m - self.ball_position()
@@ -213,8 +214,8 @@ class World:
 
     def carried_pose(self, camera: CameraPose) -> CameraPose:
         """Ball or tag as a camera sees it; the tag's x to the right of the print, z out of it."""
-        turn = camera.rotation.T @ self._link_rotation() @ self._mount
-        return CameraPose(camera.to_camera(self.ball_position()), turn)
+        rotation = camera.rotation.T @ self._link_rotation() @ self._mount
+        return CameraPose(camera.to_camera(self.ball_position()), rotation)
 
     def paint(
         self,
@@ -227,8 +228,10 @@ class World:
     ) -> None:
         """Paint tags into a part of a camera's image, blurred by motion."""
         jacobians = self._jacobians(self.joint_states()[0])
-        linear, turning = (camera.rotation.T @ (one @ velocities_rad_s) for one in jacobians)
-        poses = exposed(self.carried_pose(camera), linear, turning, self._exposure_s)
+        linear, angular = (
+            camera.rotation.T @ (jacobian @ velocities_rad_s) for jacobian in jacobians
+        )
+        poses = exposed(self.carried_pose(camera), linear, angular, self._exposure_s)
         self.carried.paint(rgb, depth_m, view, poses, rng)
 
     def _jacobians(self, joints_rad: np.ndarray) -> list[np.ndarray]:
@@ -239,10 +242,10 @@ class World:
         zeros = [0.0] * self._moving
         angles = np.zeros(self._moving)
         angles[self._columns] = joints_rad
-        found = self.client.calculateJacobian(
+        jacobians = self.client.calculateJacobian(
             self._robot, self._link, point.tolist(), angles.tolist(), zeros, zeros
         )
-        return [np.array(one)[:, self._columns] for one in found]
+        return [np.array(jacobian)[:, self._columns] for jacobian in jacobians]
 
     @cached_property
     def chain(self) -> SerialChain:
@@ -253,7 +256,7 @@ class World:
         """The same with what is measured of ball or tag."""
         carried = kind.of_body(self._zero_ball_m, self._zero_link @ self._mount)
         zeros = np.zeros(len(self._joints))
-        linear, axes = (one.T for one in self._jacobians(zeros))
+        linear, axes = (jacobian.T for jacobian in self._jacobians(zeros))
         points_m = self._zero_ball_m + np.cross(axes, linear)
         axes = np.where(self._prismatic[:, None], linear, axes)
         return SerialChain(axes, points_m, carried, zeros, self._prismatic)
@@ -295,11 +298,11 @@ class World:
     def place_ball(self) -> None:
         """Move the ball or tag and its rod to the link's present pose; call before rendering."""
         state = self._link_state()
-        turn = self._link_rotation() @ self._mount
-        foot = np.array(state[4]) - self.carried.rod_gap_m * turn[:, 2]
+        rotation = self._link_rotation() @ self._mount
+        foot = np.array(state[4]) - self.carried.rod_gap_m * rotation[:, 2]
         self.client.resetBasePositionAndOrientation(self._rod, foot, state[5])
         self.client.resetBasePositionAndOrientation(
-            self._ball, self.ball_position(), quaternion_from_rotation(turn)
+            self._ball, self.ball_position(), quaternion_from_rotation(rotation)
         )
 
 
