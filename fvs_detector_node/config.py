@@ -69,6 +69,4 @@ class CameraTopics(NamedTuple):
         images = topics.COLOR_IMAGE, topics.DEPTH_IMAGE
         if compressed:
             images = topics.COLOR_IMAGE_COMPRESSED, topics.DEPTH_IMAGE_COMPRESSED
-        return cls(
-            *(topics.camera_names(end, prefix)[0] for end in (*images, topics.CAMERA_INFO))
-        )
+        return cls(*(topics.camera_names(end, prefix)[0] for end in (*images, topics.CAMERA_INFO)))

@@ -32,8 +32,6 @@ from fvs_ros.topics import CAMERA_PREFIXES
 WAITING, TRACKING, LOST, FAULT = "WAITING", "TRACKING", "LOST", "FAULT"
 #: Time without messages after which an input is missing, s; the slowest cameras have 5 Hz.
 _MISSING_S = 1.0
-#: Largest difference of a pair's stamps, s: a little less than half the period at 30 Hz.
-_TOLERANCE_S = 0.015
 
 
 class _Picture(NamedTuple):
@@ -52,7 +50,8 @@ class DetectorNode(ros.FvsNode):
         self._config = DetectorConfig.from_values(self.values)
         self._kind = kind_of(self._config.feature)
         self._detector = make_detector(self._config)
-        self._pairing = Pairing(_TOLERANCE_S, self._detector.needs_depth)
+        # A little less than half the period at 30 Hz.
+        self._pairing = Pairing(0.015, self._detector.needs_depth)
         self._camera: CameraModel | None = None
         self._sighting: Sighting | None = None
         self._pairs, self._published = ArrivalMonitor(), ArrivalMonitor()

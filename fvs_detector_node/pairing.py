@@ -6,9 +6,6 @@ import math
 from collections import Counter, deque
 from typing import Any, NamedTuple
 
-#: Streams deliver out of order by less than this, s.
-_DISORDER_S = 0.5
-
 
 class Pair(NamedTuple):
     """A colour image with its exposure, s, and its depth image, if one is needed."""
@@ -53,9 +50,11 @@ class Pairing:
         newest_s = self._newest_s[name]
         if stamp_s <= newest_s:
             self._repeats[name] += 1
-            if self._repeats[name] < 3 or stamp_s >= newest_s - _DISORDER_S:
+            # Streams deliver out of order by less than half a second. The third stamp in a row
+            # that is older means that the clock was set back.
+            if self._repeats[name] < 3 or stamp_s >= newest_s - 0.5:
                 return None
-            self._restart()  # the third old stamp in a row: the clock was set back
+            self._restart()
         self._repeats[name] = 0
         self._newest_s[name] = stamp_s
         self._waiting[name].append((stamp_s, image))

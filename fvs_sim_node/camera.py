@@ -62,14 +62,26 @@ class Frame:
     depth_m: np.ndarray  # float32, (H, W): along the optical axis; 0 where there is none
 
 
-# ---- noise of a stereo depth camera (Intel RealSense D435) -------------------------------------
-# The spread follows Intel's tuning guide for the D400 family: subpixel * z^2 / (f * baseline).
+@dataclass(frozen=True)
+class StereoNoise:
+    """Noise of a stereo depth camera, by default an Intel RealSense D435.
 
-#: Standard deviation of the disparity, pixels, and distance between the two imagers, m.
-_SUBPIXEL_PX, _BASELINE_M = 0.08, 0.05
-#: Probabilities that a pixel has no depth: anywhere, and where the depth within its 3 x 3
-#: neighbourhood spans more than a jump, m.
-_DROPOUT, _EDGE_LOSS, _EDGE_JUMP_M = 0.01, 0.5, 0.05
+    The spread follows Intel's tuning guide for the D400 family: disparity * z^2 / (f * baseline).
+    """
+
+    #: Standard deviation of the disparity, pixels.
+    disparity_px: float = 0.08
+    #: Distance between the two imagers, m.
+    baseline_m: float = 0.05
+    #: Probability that a pixel has no depth.
+    dropout: float = 0.01
+    #: The same beside an edge.
+    edge_dropout: float = 0.5
+    #: Least range of the depths in 3 x 3 pixels at an edge, m.
+    edge_m: float = 0.05
+
+
+D435 = StereoNoise()
 
 
 def add_depth_noise(
@@ -85,7 +97,7 @@ def add_depth_noise(
         return depth
     lost = depth <= 0.0
     kernel = np.ones((3, 3), np.uint8)
-    edge = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > _EDGE_JUMP_M
+    edge = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > D435.edge_m
 
     noise = rng.standard_normal(depth.shape, dtype=np.float32)
     # Neighbouring pixels share a quarter of the variance. The mean of 3 x 3 unit normals has a
@@ -94,7 +106,7 @@ def add_depth_noise(
     shared = cv2.blur(rng.standard_normal(depth.shape, dtype=np.float32), (3, 3))
     shared *= np.float32(1.5)
     noise += shared
-    noise *= np.float32(_SUBPIXEL_PX / (fx * _BASELINE_M)) * np.square(depth)
+    noise *= np.float32(D435.disparity_px / (fx * D435.baseline_m)) * np.square(depth)
     noise *= np.float32(scale)
     depth += noise
     depth *= np.float32(1e3)  # it comes in whole millimetres
@@ -102,8 +114,8 @@ def add_depth_noise(
     depth *= np.float32(1e-3)
 
     luck = rng.random(depth.shape, dtype=np.float32)
-    lost |= luck < np.float32(scale * _DROPOUT)
-    lost |= edge & (luck < np.float32(scale * _EDGE_LOSS))
+    lost |= luck < np.float32(scale * D435.dropout)
+    lost |= edge & (luck < np.float32(scale * D435.edge_dropout))
     lost |= depth < 0.0
     depth[lost] = 0.0
     return depth

@@ -11,19 +11,14 @@ from fvs_sim_node.config import BALL_RGBA, SimConfig
 from fvs_sim_node.shapes import BulletClient, box, sphere
 from fvs_sim_node.tag import TagPicture
 
-#: Half thickness of a plate with tags, m.
-_PLATE_M = 0.001
-#: A body of which fewer pixels are in view is not in view.
-_LEAST_PX = 8
-
 
 class Carried:
     """A body at the end of the arm; its pose is that of its frame in the camera's."""
 
     #: Depth behind its front by which it is further out on the arm, m.
     depth_m = 0.0
-    #: Whether it is mounted with its z axis toward the camera.
-    faces_camera = False
+    #: Rotation vector from facing the camera at home, rad; None for a body that does not face it.
+    tilt_rad: np.ndarray | None = None
     #: Distance of its rod behind it, m.
     rod_gap_m = 0.0
 
@@ -68,7 +63,7 @@ class CarriedBall(Carried):
 class CarriedTag(Carried):
     """The tags of a layout on white paper."""
 
-    faces_camera = True
+    tilt_rad = np.array([0.4, 0.4, 0.0])  # seen squarely it tells its pose less well
 
     def __init__(self, config: SimConfig) -> None:
         super().__init__(config)
@@ -80,7 +75,7 @@ class CarriedTag(Carried):
     def shape(self, client: BulletClient) -> int:
         """A box with its sides in the planes of the tags; a plate's front, if it is flat."""
         half_m = 0.5 * self._tag.extent_m
-        behind_m = _PLATE_M if self._flat else 0.0
+        behind_m = 0.001 if self._flat else 0.0  # half the thickness of a plate
         white = (1.0, 1.0, 1.0, 1.0)
         return box(client, half_m + [0.0, 0.0, behind_m], white, (0.0, 0.0, -behind_m))
 
@@ -109,4 +104,4 @@ CARRIED: dict[str, type[Carried]] = {"ball": CarriedBall, "pose": CarriedTag}
 
 def _in_view(points_px: np.ndarray, camera: Intrinsics) -> Region | None:
     region = Region.around(points_px).grown(0, camera)
-    return region if min(region.width, region.height) >= _LEAST_PX else None
+    return region if min(region.width, region.height) >= 8 else None

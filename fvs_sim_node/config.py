@@ -103,6 +103,10 @@ class SimConfig(CommandInterface):
     #: ``position_noise_m``): several times faster, without occlusion and without full frames. With
     #: 0.2 mm of noise the final error is 0.1 mm smaller than with images.
     rendered: bool = True
+    #: Gain of a position drive on what is missing.
+    position_gain_1_s: float = 10.0
+    #: It refuses a position further away than its joint moves in this time.
+    position_reach_s: float = 0.5
     #: A further lag of the joints, behind that of the drives.
     joint_lag_s: float = 0.0
     #: Standard deviation of white noise on each joint angle that is reported.

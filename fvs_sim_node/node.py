@@ -28,8 +28,6 @@ from fvs_sim_node.simulation import Observation, SimStep, Simulation
 
 #: In simulated time, services and parameters are served this often.
 _BURST_S = 0.005
-#: How long a response is waited for, s: longer than a busy computer keeps a node from running.
-_PATIENCE_S = 3.0
 #: Topics of the responses to joint states, and largest simulated time without a new one, s.
 _ANSWERS = {
     topics.COMMANDS.name: 0.0,
@@ -126,8 +124,9 @@ class SimNode(ros.FvsNode):
             for topic, answered_s in self._answered_s.items()
             if self._simulated_s() - answered_s > _ANSWERS[topic]
         ]
-        # Without a response for long its node counts as ended, until it responds again.
-        if late and self.steady_s() - self._stepped_s < _PATIENCE_S:
+        # A busy computer keeps a node from running for less than three seconds. A node without a
+        # response for longer counts as ended, until it responds again.
+        if late and self.steady_s() - self._stepped_s < 3.0:
             return True
         for topic in late:
             del self._answered_s[topic]

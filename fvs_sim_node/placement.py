@@ -10,20 +10,6 @@ from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
 from fvs_sim_node.camera import CameraPose
 
-#: Half width of the box of motion about the posture, rad, and the most of a joint's range, as for
-#: the UR5 whose training box it is.
-_BOX_RAD, _OF_RANGE = 0.5, 0.5
-#: Draws of postures, how many of the best are looked at in their boxes, and draws in a box.
-_DRAWS, _BEST, _IN_BOX = 3000, 60, 64
-#: Elevations of a camera above the ball, rad, and its directions around it, by its name.
-_ELEVATIONS_RAD, _AZIMUTHS = {"front": (0.35, 0.7), "overhead": (1.2,)}, 12
-#: Distances that are tried, m, and the share of the image that stays empty at each edge.
-_DISTANCES_M, _EDGE = np.geomspace(0.4, 4.0, 50), 0.1
-#: A depth camera sees nothing that is closer, m.
-_LEAST_DEPTH_M = 0.3
-#: A camera that is a metre closer may see this share less.
-_CLOSER = 0.02
-
 
 class Placement:
     """Posture, box of motion, and cameras of an arm.
@@ -39,11 +25,11 @@ class Placement:
     def __init__(self, chain: SerialChain, lower: np.ndarray, upper: np.ndarray) -> None:
         self._chain = chain
         self._lower, self._upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
-        self._box_rad = np.minimum(_BOX_RAD, 0.5 * _OF_RANGE * (self._upper - self._lower))
+        # Half the width of the box of motion: as for the UR5, and at most a quarter of the range.
+        self._box_rad = np.minimum(0.5, 0.25 * (self._upper - self._lower))
         rng, joints = np.random.default_rng(0), len(self._box_rad)
-        counts = (_DRAWS, _IN_BOX, _IN_BOX)
-        self._all_over, self._inside, self._seen = (
-            rng.uniform(-1.0, 1.0, (count, joints)) for count in counts
+        self._postures, self._inside, self._watched = (
+            rng.uniform(-1.0, 1.0, (count, joints)) for count in (3000, 64, 64)
         )
 
     def home(self) -> np.ndarray:
@@ -53,9 +39,9 @@ class Placement:
         box of motion about it lies within the joints' ranges.
         """
         free = 0.5 * (self._upper - self._lower) - self._box_rad
-        drawn = 0.5 * (self._upper + self._lower) + self._all_over * free
+        drawn = 0.5 * (self._upper + self._lower) + self._postures * free
         inside = self._box_rad * self._inside
-        best = drawn[np.argsort(-self._readiness(drawn))[:_BEST]]
+        best = drawn[np.argsort(-self._readiness(drawn))[:60]]  # only these in their boxes
         worst = [np.quantile(self._readiness(home + inside), 0.05) for home in best]
         return best[int(np.argmax(worst))]
 
@@ -75,29 +61,31 @@ class Placement:
 
         ``hidden`` tells for joints, (n,), from which poses the arm hides the ball.
         """
-        joints = home_rad + self._box_rad * self._seen
+        joints = home_rad + self._box_rad * self._watched
         balls_m = self._chain.position(joints)
         middle_m = 0.5 * (balls_m.max(axis=0) + balls_m.min(axis=0))
         towards = np.arctan2(middle_m[1], middle_m[0])
         poses = [
             self._closest(middle_m, towards + azimuth, elevation, balls_m, intrinsics)
-            for elevation in _ELEVATIONS_RAD[name]
-            for azimuth in np.linspace(0.0, 2.0 * np.pi, _AZIMUTHS, endpoint=False)
+            for elevation in {"front": (0.35, 0.7), "overhead": (1.2,)}[name]
+            for azimuth in np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
         ]
         share = np.mean([hidden(joints_rad, poses) for joints_rad in joints], axis=0)
         far_m = [np.linalg.norm(pose.position_m - middle_m) for pose in poses]
-        return poses[int(np.argmin(share + _CLOSER * np.array(far_m)))]
+        # One that is a metre closer may see 2 % less.
+        return poses[int(np.argmin(share + 0.02 * np.array(far_m)))]
 
     def _closest(self, middle_m, azimuth, elevation, balls_m, intrinsics) -> CameraPose:
         """The closest pose in a direction with all ball positions, (k, 3), m, in view."""
         up, out = np.sin(elevation), np.cos(elevation)
         direction = np.array([np.cos(azimuth) * out, np.sin(azimuth) * out, up])
         size = np.array([intrinsics.width, intrinsics.height])
-        for distance_m in _DISTANCES_M:
+        for distance_m in np.geomspace(0.4, 4.0, 50):
             pose = CameraPose.looking(tuple(middle_m + distance_m * direction), tuple(middle_m))
             seen_m = pose.to_camera(balls_m)
-            if seen_m[:, 2].min() > _LEAST_DEPTH_M:
+            # A depth camera sees nothing closer; a tenth of the image stays empty at each edge.
+            if seen_m[:, 2].min() > 0.3:
                 shares = intrinsics.project(seen_m) / size
-                if shares.min() > _EDGE and shares.max() < 1.0 - _EDGE:
+                if np.abs(shares - 0.5).max() < 0.4:
                     break
         return pose

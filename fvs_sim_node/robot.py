@@ -19,8 +19,6 @@ TRAINING_BOX_RAD = (0.6, 0.5, 0.5, 0.5, 0.5, 0.5)
 
 #: By element of a URDF, what holds the name of a link or joint.
 _NAMED = {"link": "name", "joint": "name", "parent": "link", "child": "link", "mimic": "joint"}
-#: What stands for a mesh that is not here: a cube, its edge in m.
-_STANDS_IN = "0.04 0.04 0.04"
 #: Packages that ship URDFs, and the folder of their files below the site-packages.
 _PACKAGES = {
     "example-robot-data": "cmeel.prefix/share/example-robot-data/robots",
@@ -126,7 +124,7 @@ def robot_description(
             else:
                 missing.add(name)
                 geometry.remove(mesh)
-                ET.SubElement(geometry, "box", size=_STANDS_IN)
+                ET.SubElement(geometry, "box", size="0.04 0.04 0.04")
     if missing:
         say(f"cubes stand for {len(missing)} meshes that are not here, such as {min(missing)}")
     return ET.tostring(root, encoding="unicode")

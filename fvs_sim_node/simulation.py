@@ -25,10 +25,6 @@ from fvs_sim_node.camera import CameraPose, Frame, add_depth_noise
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.world import Renderer, World
 
-#: A position drive closes what is missing at this gain, 1/s, and refuses a position that is further
-#: away than a joint moves in this time, s.
-_SEEK_GAIN, _MOST_AWAY_S = 10.0, 0.5
-
 
 @dataclass(frozen=True)
 class Observation:
@@ -230,7 +226,7 @@ class Simulation:
         if not np.isfinite(command).all():
             return "a command that is not finite was dropped; the last one goes on"
         steps = np.zeros(1) if interface == VELOCITY else np.abs(command - joints)
-        if (steps > _MOST_AWAY_S * self.world.max_speed_rad_s).any():
+        if (steps > self.config.position_reach_s * self.world.max_speed_rad_s).any():
             return f"a position that is {steps.max():.2f} rad away from its joint was refused"
         return None
 
@@ -246,7 +242,7 @@ class Simulation:
             return
         before = self._wanted if self._sought is None else self._sought
         speed = (self._wanted - before) * self.config.joint_state_rate_hz
-        self._actuator.command(speed + _SEEK_GAIN * (before - self._joints))
+        self._actuator.command(speed + self.config.position_gain_1_s * (before - self._joints))
         self._sought = self._wanted
 
     def advance(self) -> SimStep:

@@ -30,10 +30,6 @@ from fvs_sim_node.tag import exposed
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 _NEAR_M, _FAR_M = 0.25, 4.0
-#: Effort of a joint, and radius of gyration of a link, whose URDF states none.
-_STRONG_NM, _GYRATION_M = 100.0, 0.05
-#: Tilt of a tag at home about its x and y axes, rad: seen squarely it tells its pose less well.
-_TILT_RAD = np.array([0.4, 0.4, 0.0])
 # OpenGL cameras look along -z with y up.
 _OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0])
 
@@ -79,7 +75,9 @@ class World:
             self._rod = self._add_rod()
             self.reset(np.zeros(len(self._joints)))
             self._zero_ball_m, self._zero_link = self.ball_position(), self._link_rotation()
-            self._mount = self._mounted(config) if self.carried.faces_camera else np.eye(3)
+            self._mount = np.eye(3)
+            if self.carried.tilt_rad is not None:
+                self._mount = self._facing(config) @ cv2.Rodrigues(self.carried.tilt_rad)[0]
             self.place_ball()
         except BaseException:
             self.close()
@@ -122,7 +120,7 @@ class World:
         self.upper_rad = np.minimum([joint.upper for joint in joints], 2.0 * np.pi)
         self.max_speed_rad_s = np.array([joint.velocity for joint in joints])
         self._prismatic = np.array([joint.kind == "prismatic" for joint in joints], dtype=float)
-        self._efforts_nm = [infos[joint][10] or _STRONG_NM for joint in self._joints]
+        self._efforts_nm = [infos[joint][10] or 100.0 for joint in self._joints]
 
     def _prepare_links(self) -> None:
         for link in range(-1, self.client.getNumJoints(self._robot)):
@@ -131,7 +129,7 @@ class World:
             )
             mass, _, inertia, *_ = self.client.getDynamicsInfo(self._robot, link)
             if min(inertia) <= 0.0:  # many URDFs state none, and then some joints cannot be moved
-                inertia = [max(mass, 0.1) * _GYRATION_M**2] * 3
+                inertia = [max(mass, 0.1) * 0.05**2] * 3  # mass times squared radius of gyration
                 self.client.changeDynamics(self._robot, link, localInertiaDiagonal=inertia)
 
         self._collide(False)
@@ -151,8 +149,8 @@ class World:
             shape = box(self.client, 0.5 * np.array(thing.size_m), thing.rgba)
         return self._body(shape, thing.position_m)
 
-    def _mounted(self, config: SimConfig) -> np.ndarray:
-        """The tag's rotation in its link: as somebody tapes it, at home before the camera."""
+    def _facing(self, config: SimConfig) -> np.ndarray:
+        """The rotation in its link of a body whose z axis points to the camera at home."""
         home_rad = np.array(config.initial_joints_rad or self.home_rad)
         camera = config.camera_pose or self.camera(config.camera, config.intrinsics)
         self.reset(home_rad)
@@ -161,7 +159,7 @@ class World:
         right = np.cross((0.0, 0.0, 1.0) if abs(out[2]) < 0.99 else (1.0, 0.0, 0.0), out)
         right /= np.linalg.norm(right)
         facing = np.stack([right, np.cross(out, right), out], axis=1)
-        return self._link_rotation().T @ facing @ cv2.Rodrigues(_TILT_RAD)[0]
+        return self._link_rotation().T @ facing
 
     def _add_rod(self) -> int:
         shape = self.client.createVisualShape(
