@@ -20,8 +20,6 @@ from urllib.parse import urlsplit
 
 from websockets.asyncio import server
 
-_CHECK_S = 10.0
-
 #: Addresses that only this host reaches, and its names for them.
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 #: Wildcards for every address of this host.
@@ -96,7 +94,7 @@ def turns_others_away(host: str, port: int) -> bool:
 
     It sends a real request, because a later viser may start its server without the check.
     """
-    connection = http.client.HTTPConnection(host, port, timeout=_CHECK_S)
+    connection = http.client.HTTPConnection(host, port, timeout=10.0)
     headers = {
         "Origin": "http://not-this-page.invalid",
         "Connection": "Upgrade",

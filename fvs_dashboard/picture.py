@@ -12,8 +12,6 @@ from fvs_ros.camera import Intrinsics
 TARGET_RGB = (86, 180, 233)
 #: Before the first image; others are shown in its width.
 BLANK = np.full((240, 320, 3), 90, np.uint8)
-#: Age above which a picture shows its age, s.
-_OLD_S = 2.0
 
 
 class Picture:
@@ -44,7 +42,7 @@ class Picture:
         if self._exposed_s == inf:
             return self.waits_for
         age_s = now_s - self._exposed_s
-        return f"the picture is {age_s:.0f} s old" if age_s > _OLD_S else ""
+        return f"the picture is {age_s:.0f} s old" if age_s > 2.0 else ""
 
     def newest(self, target_m: np.ndarray | None) -> np.ndarray | None:
         """The picture, uint8, shape (height, width, 3), if it changed since the last call.

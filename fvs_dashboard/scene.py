@@ -30,8 +30,6 @@ LEGEND = (
 )
 #: Of the trail, from old to new: a fixed number, which the browser redraws cheaply.
 _TRAIL_COLOURS = np.linspace((60, 64, 72), _PREDICTED, 97)
-#: After a drag the target stays where it was dropped, until the controller has answered, s.
-_DROPPED_S = 0.6
 
 
 class Scene:
@@ -149,7 +147,8 @@ class Scene:
             self._axes.wxyz = SO3.from_matrix(rotation).wxyz
             self._target.disable_rotations, self._target_axes.visible = False, True
         _put(self._axes, None if rotation is None else z[:3])
-        if time.monotonic() - self._held_s > _DROPPED_S:
+        # After a drag it stays where it was dropped until the controller has answered.
+        if time.monotonic() - self._held_s > 0.6:
             _put(self._target, controller.target_m)
             target = board.newest("target", now_s)
             wanted = rotation if target is None else self._kind.rotation(target)

@@ -20,10 +20,6 @@ from rosbags.typesys import Stores, get_typestore
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 #: Holds the notes until ``metadata.yaml`` is written; a killed recorder leaves it behind.
 NOTES: Final = "notes.yaml"
-#: Length of a chunk in recording time, ns: a killed recorder loses at most this.
-_CHUNK_NS: Final = 10**9
-#: Largest memory for messages that wait for the first /clock, bytes.
-_HELD_BYTES: Final = 64 * 2**20
 #: What writing into a bag may raise.
 ERRORS: Final = (OSError, WriterError)
 
@@ -61,7 +57,7 @@ class SimulatedTime:
             self._now_ns = content.clock.sec * 10**9 + content.clock.nanosec
         self._held.append(message)
         self._held_bytes += len(message.data)
-        waits = self._now_ns is None and self._held_bytes <= _HELD_BYTES
+        waits = self._now_ns is None and self._held_bytes <= 64 * 2**20
         return [] if waits else self.rest()
 
     def rest(self) -> list[Message]:
@@ -89,7 +85,7 @@ class Bag:
         self._notes = folder / NOTES
         self._notes.write_text(yaml.safe_dump(dict(notes)), encoding="utf-8")
         self._connections: dict[str, Any] = {}
-        self._chunk_ns: int | None = None
+        self._chunk_ns = 0
         #: Messages by topic.
         self.counts: dict[str, int] = {}
 
@@ -104,9 +100,7 @@ class Bag:
             self.counts[topic] = 0
         self._writer.write(self._connections[topic], stamp_ns, message.data)
         self.counts[topic] += 1
-        if self._chunk_ns is None:
-            self._chunk_ns = stamp_ns
-        elif abs(stamp_ns - self._chunk_ns) > _CHUNK_NS:
+        if abs(stamp_ns - self._chunk_ns) > 10**9:  # a killed recorder loses at most this
             self._chunk_ns = stamp_ns
             storage: Any = self._writer.storage
             if storage.chunk.msgs:

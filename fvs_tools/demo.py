@@ -32,8 +32,6 @@ class DemoConfig(KindConfig):
 
 PARAMETERS = DemoConfig.declared()
 
-#: Candidates within this of the wanted distance are equally good; otherwise the nearest is taken.
-_DISTANCE_TOLERANCE_M = 0.02
 #: Longest wait for the loop to be ready, s: all nodes may start on a busy machine.
 START_TIMEOUT_S = 30.0
 
@@ -51,7 +49,8 @@ def choose_target(
     """
     apart_m = np.linalg.norm((candidates - z) * kind.weights, axis=1)
     mismatch_m = np.abs(apart_m - distance_m)
-    fitting = np.flatnonzero(mismatch_m <= max(_DISTANCE_TOLERANCE_M, mismatch_m.min()))
+    # Those within 20 mm are equally good.
+    fitting = np.flatnonzero(mismatch_m <= max(0.02, mismatch_m.min()))
     return candidates[rng.choice(fitting)]
 
 

@@ -13,9 +13,6 @@ from std_srvs.srv import Trigger
 from fvs_ros import topics
 from fvs_ros.ros.node import FvsNode
 
-#: Period of repeated stop requests until an answer, and time until the user is warned, s.
-_STOP_AGAIN_S, _STOP_LATE_S = 0.3, 0.5
-
 
 class Services:
     """The services of controller, estimator and simulator.
@@ -45,15 +42,15 @@ class Services:
             self._show(f"{name} does not answer; is {name.partition('/')[0]} running?")
 
     def stop(self) -> None:
-        """Ask the controller to stop, again and again until it answers."""
-        self._stopping, self._stop_late_s = True, self._node.steady_s() + _STOP_LATE_S
+        """Ask the controller to stop, again and again until it answers; say if that takes long."""
+        self._stopping, self._stop_late_s = True, self._node.steady_s() + 0.5
         self._stop_sent_s = -inf
         self.repeat_stop()
 
     def repeat_stop(self) -> None:
         """Repeat an unanswered stop."""
         now_s = self._node.steady_s()
-        if not self._stopping or now_s - self._stop_sent_s <= _STOP_AGAIN_S:
+        if not self._stopping or now_s - self._stop_sent_s <= 0.3:
             return
         self._stop_sent_s = now_s
         if now_s > self._stop_late_s:
