@@ -4,10 +4,9 @@ A target with frequent updates is a moving one. A curve through the last updates
 and its position now, so that the loop acts before an error builds up. A target that is set once or
 rarely, or that jumps, is fixed.
 
-Measured targets are noisy, and the arm must not follow the noise. Its variance is learned from what
-parabolas through four updates leave unexplained. The candidates are constants, lines and parabolas
-over several windows whose residual is within that noise. The one with the smallest variance at its
-end is used: it has the longest window and the fewest terms.
+Measured targets are noisy, and the arm must not follow the noise. The candidates are constants,
+lines and parabolas over several windows whose residual is within that noise. The one with the
+smallest variance at its end is used: it has the longest window and the fewest terms.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fvs_ros.filter import NoiseVariance
 from fvs_ros.timeline import MAX_GAP_S
 from fvs_ros.vectors import length
 
@@ -29,8 +29,8 @@ _LEAST, _MOST = 3, 64
 _SIGNIFICANT = 3.8
 #: Largest residual variance of a polynomial over the learned noise variance.
 _SCATTER = 2.0
-#: Least noise, m; the first guess, m, for how many updates it counts, and how many are remembered.
-_LEAST_NOISE_M, _SUPPOSED_M, _SUPPOSED, _REMEMBERED = 5e-6, 2e-3, 4, 200
+#: Least noise, m.
+_LEAST_NOISE_M = 5e-6
 #: Shortest window, s and updates, and the ratio of the next longer one: a longer one is calmer, a
 #: shorter one quicker at corners.
 _WINDOW_S, _WINDOW, _LONGER = 0.15, 5, 1.6
@@ -67,7 +67,7 @@ class TargetMotion:
 
     def __init__(self) -> None:
         self._updates: deque[tuple[float, np.ndarray]] = deque(maxlen=_MOST)
-        self._scatter_m2 = deque([_SUPPOSED_M**2] * _SUPPOSED, maxlen=_REMEMBERED)
+        self.noise = NoiseVariance(3, _LEAST_NOISE_M)
         self._curve: np.ndarray | None = None  # position, velocity, half the acceleration
         self._interval_s = 0.0  # between updates
         self._age_s = 0.0  # of the last one when it came
@@ -76,6 +76,7 @@ class TargetMotion:
         """Forget the target, but keep the learned noise."""
         self._updates.clear()
         self._curve = None
+        self.noise.restart()
 
     def update(self, position_m: np.ndarray, now_s: float = -inf, age_s: float = 0.0) -> Update:
         """Take an update: position on its path, m, (d,), its time, s, and the message's age, s.
@@ -96,29 +97,10 @@ class TargetMotion:
             self._updates.pop()
         self._updates.append((now_s, position))
         if not again:
-            self._learn_noise()
+            self.noise.add(now_s, position)
         self._fit(now_s)
         self._age_s = max(0.0, age_s)
         return Update.CONTINUED
-
-    @property
-    def noise_m(self) -> float:
-        """Noise of the updates, standard deviation of each coordinate, m."""
-        # The median ignores corners and outliers, which are no noise.
-        return max(_LEAST_NOISE_M, float(np.median(self._scatter_m2)) ** 0.5)
-
-    def _learn_noise(self) -> None:
-        """Learn the noise from the residual of a parabola through the last four updates."""
-        if len(self._updates) < 4:
-            return
-        times_s, positions = zip(*list(self._updates)[-4:], strict=True)
-        apart_s = np.subtract.outer(times_s, times_s)
-        np.fill_diagonal(apart_s, 1.0)
-        weights = 1.0 / apart_s.prod(axis=1)  # of the third divided difference
-        rest = weights @ np.array(positions) / length(weights)
-        # The median of a chi-square distribution of m is m (1 - 2 / (9 m))^3 (Wilson and Hilferty).
-        m = len(rest)
-        self._scatter_m2.append(float(rest @ rest) / (m * (1.0 - 2.0 / (9.0 * m)) ** 3))
 
     def _fit(self, now_s: float) -> None:
         """Find the polynomial to go on with, and the updates' interval."""
@@ -128,7 +110,7 @@ class TargetMotion:
         times_s, places = map(np.array, zip(*self._updates, strict=True))
         since_s, last = times_s - now_s, self._updates[-1][1]
         places = places - last  # identical updates then average to exactly the same position
-        least_doubt, curve, noise_m2 = np.inf, None, self.noise_m**2
+        least_doubt, curve, noise_m2 = np.inf, None, self.noise.variance_m2
         count = max(_WINDOW, int(np.sum(since_s >= -_WINDOW_S)))
         while curve is None or count < _LONGER * len(since_s):
             window = slice(-count, None)

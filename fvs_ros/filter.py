@@ -30,7 +30,7 @@ _REPEATS = 6
 
 #: Bounds of the standard deviation of a coordinate, m; it is taken for the largest at first.
 _LEAST_M, _MOST_M = 1e-4, 1e-2
-#: Count of second differences kept.
+#: Count of differences kept.
 _WINDOW = 64
 #: Weight of the initial guess among them.
 _GUESS = 4
@@ -66,41 +66,51 @@ class Image(NamedTuple):
 
 
 class NoiseVariance:
-    """Variance of a coordinate of white noise n on a residual that else changes steadily.
+    """Variance of a coordinate of white noise on a path that else changes smoothly.
 
-    The second difference ``n - 2 n' + n''`` has six variances, and is blind to a steady drift (a
-    wrong Jacobian, a camera that is carried). The lower quartile of its squares over that of a
-    chi-square distribution (Wilson and Hilferty) is not moved by outliers now and then.
+    A divided difference of the second order is blind to a steady drift (a wrong Jacobian, a camera
+    that is carried), one of the third to a steady acceleration as well. The lower quartile of its
+    squares over that of a chi-square distribution (Wilson and Hilferty) is not moved by outliers
+    now and then.
+
+    Parameters
+    ----------
+    order : int
+        Of the difference.
+    least_m : float
+        Least standard deviation, m.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, order: int = 2, least_m: float = _LEAST_M) -> None:
         self.variance_m2 = _MOST_M**2
-        self._squares_m2: deque[float] = deque(maxlen=_WINDOW)
-        self._residual: np.ndarray | None = None
-        self._change: np.ndarray | None = None
+        self._order, self._least_m2 = order, least_m**2
+        self._variances_m2: deque[float] = deque(maxlen=_WINDOW)  # one of each difference
+        self._last: deque[tuple[float, np.ndarray]] = deque(maxlen=order + 1)
 
     def restart(self) -> None:
-        """Begin a new run of residuals; the learned variance stays."""
-        self._residual = self._change = None
+        """Begin a new run of the path; the learned variance stays."""
+        self._last.clear()
 
-    def add(self, residual_m: np.ndarray) -> None:
-        """Take the next residual, m, shape (d,)."""
-        change = None if self._residual is None else residual_m - self._residual
-        if change is not None and self._change is not None:
-            second = change - self._change
-            quartile = self._quartile(len(second))
-            if not self._squares_m2:
-                self._squares_m2.extend([quartile * self.variance_m2] * _GUESS)
-            self._squares_m2.append(float(second.dot(second)))
-            variance_m2 = sorted(self._squares_m2)[len(self._squares_m2) // 4] / quartile
-            self.variance_m2 = min(max(variance_m2, _LEAST_M**2), _MOST_M**2)
-        self._residual, self._change = residual_m, change
-
-    @staticmethod
-    def _quartile(d: int) -> float:
-        """Lower quartile of the square of a second difference, in variances of a coordinate."""
-        share = 2.0 / (9.0 * d)
-        return 6.0 * d * (1.0 - share + _QUARTILE * share**0.5) ** 3
+    def add(self, time_s: float, path_m: np.ndarray) -> None:
+        """Take the next point of the path, m, shape (d,), and its time, s, after the last one."""
+        self._last.append((time_s, path_m))
+        if len(self._last) <= self._order:
+            return
+        times_s, points_m = map(np.array, zip(*self._last, strict=True))
+        apart_s = np.subtract.outer(times_s, times_s)
+        np.fill_diagonal(apart_s, 1.0)
+        weights = 1.0 / apart_s.prod(axis=1)
+        difference = weights @ points_m
+        d = len(difference)
+        spread = 2.0 / (9.0 * d)
+        quartile = d * (1.0 - spread + _QUARTILE * spread**0.5) ** 3
+        if not self._variances_m2:
+            self._variances_m2.extend([self.variance_m2] * _GUESS)
+        self._variances_m2.append(
+            float(difference.dot(difference) / weights.dot(weights)) / quartile
+        )
+        variance_m2 = sorted(self._variances_m2)[len(self._variances_m2) // 4]
+        self.variance_m2 = min(max(variance_m2, self._least_m2), _MOST_M**2)
 
 
 class PathFilter:
@@ -179,7 +189,7 @@ class PathFilter:
             self._c = (1.0 - K) * self._c
             self.x = self.x + K * innovation
             self._outliers.clear()
-            self.noise.add(image.seen_m - image.moved_m)
+            self.noise.add(image.stamp_s, image.seen_m - image.moved_m)
             self._inflate_on_bias(innovation, S)
             return [image]
         before = self._outliers[-1] if self._outliers else None
@@ -205,7 +215,7 @@ class PathFilter:
         image, self._outliers = images[-1], []
         self.x, self.moved_m = image.seen_m.copy(), image.moved_m
         for accepted in images:
-            self.noise.add(accepted.seen_m - accepted.moved_m)
+            self.noise.add(accepted.stamp_s, accepted.seen_m - accepted.moved_m)
         self._P = self.noise.variance_m2
         self._c = np.zeros_like(image.seen_m)
         self._mean = np.zeros_like(image.seen_m)
