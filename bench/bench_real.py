@@ -195,7 +195,7 @@ def splits(count):
 
 def part(data, mask):
     """The images of a mask; runs end where others are left out."""
-    names = ("stamps_s", "joints_rad", "ball_m")
+    names = ("stamps_s", "joints_rad", "z")
     segment = (data.segment + np.cumsum(np.diff(mask, prepend=False)))[mask]
     return replace(data, segment=segment, **{name: getattr(data, name)[mask] for name in names})
 

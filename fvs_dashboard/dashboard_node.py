@@ -67,7 +67,7 @@ class DashboardNode(ros.FvsNode):
         if self._config.model_path or self._config.tour:
             model = self._config.model_path or self._kind.model
             trained = load_model(find_file(model), expected=self._config)
-            self._candidates = trained.ball_samples_m
+            self._candidates = trained.z_samples
         self._tour_due_s = -inf
         self._rng = np.random.default_rng()
         self._subscribe()

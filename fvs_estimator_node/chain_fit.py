@@ -179,7 +179,7 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
     """
     say = progress or (lambda words: None)
     path = Path(data)
-    unknown = 4 * data.joints_rad.shape[1] + data.ball_m.shape[1]
+    unknown = 4 * data.joints_rad.shape[1] + data.z.shape[1]
     if data.still and len(data) < unknown:
         raise ChainFitError(
             f"a chain of {data.joints_rad.shape[1]} joints needs at least {unknown} still poses, "
@@ -191,13 +191,13 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
             f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}; still poses have "
             f"joints at rest for {MAX_OFFSET_S:g} s before each image, or no stamp_s in a table"
         )
-    if not plausible(data.ball_m):
+    if not plausible(data.z):
         raise ChainFitError(f"the {data.kind.what} has a place above {LARGEST:g} m: metres?")
-    if np.linalg.norm(data.ball_m.std(axis=0)) < 1e-3:
+    if np.linalg.norm(data.z.std(axis=0)) < 1e-3:
         raise ChainFitError(
             f"the {data.kind.what} does not move in the data set, so there is no chain to find"
         )
-    fitting = _Fitting(path, data.ball_m[path.indices], data.kind.weights)
+    fitting = _Fitting(path, data.z[path.indices], data.kind.weights)
     # Matrices of few columns: on a busy machine more threads took twenty times as long.
     with threadpool_limits(1):
         say("looking for the axes")
@@ -219,26 +219,24 @@ class _Fitting:
 
     def __init__(self, path: Path, features: np.ndarray, weights: np.ndarray) -> None:
         self._path, self._weights = path, weights
-        self._ball = weights * features
+        self._z = weights * features
 
     def start(self) -> _Found:
         """The best of some starts, each fitted to a part of the images."""
         reference = self._path.joints_and_velocities(0.0)[0].mean(axis=0)
         regression = min(
             (
-                regress(
-                    offset_s, self._path.joints_and_velocities(offset_s)[0], reference, self._ball
-                )
+                regress(offset_s, self._path.joints_and_velocities(offset_s)[0], reference, self._z)
                 for offset_s in np.linspace(-MAX_OFFSET_S, MAX_OFFSET_S, _SEARCH_OFFSETS)
             ),
             key=lambda one: one.distance_m,
         )
-        count = min(_SEARCH_SAMPLES, len(self._ball))
-        some = np.linspace(0, len(self._ball) - 1, count).astype(int)
+        count = min(_SEARCH_SAMPLES, len(self._z))
+        some = np.linspace(0, len(self._z) - 1, count).astype(int)
 
         def fitted(chain: SerialChain) -> _Found:
             begin = _Found(chain, regression.offset_s, math.inf)
-            images, size = self._ball.shape
+            images, size = self._z.shape
             unit = np.broadcast_to(np.eye(size) / regression.distance_m, (images, size, size))
             return self._solve(begin, unit, some, 3.0, 60)
 
@@ -259,8 +257,8 @@ class _Fitting:
         Still poses are too few for a regression, but far apart, so that few wrong optima are left.
         """
         rng, joints = np.random.default_rng(0), self._path.joints_and_velocities(0.0)[0]
-        middle, reference = self._ball.mean(axis=0), joints.mean(axis=0)
-        spread_m = float(np.linalg.norm(self._ball[:, :3].std(axis=0)))
+        middle, reference = self._z.mean(axis=0), joints.mean(axis=0)
+        spread_m = float(np.linalg.norm(self._z[:, :3].std(axis=0)))
         tried: list[_Found] = []
         while len(tried) < _MOST_STARTS:
             axes, places = rng.normal(size=(2, len(reference), 3))
@@ -284,7 +282,7 @@ class _Fitting:
 
     def _from_afar(self, chain: SerialChain, spread_m: float) -> _Found:
         """The optimum from a start that may be far from it, by a new chart after some steps."""
-        images, size = self._ball.shape
+        images, size = self._z.shape
         unit = np.broadcast_to(np.eye(size) / (_ROUGH * spread_m), (images, size, size))
         found = _Found(chain, 0.0, math.inf)
         for _ in range(_CHARTS):
@@ -296,8 +294,8 @@ class _Fitting:
 
     def finish(self, found: _Found) -> ChainFit:
         """Fit all images, each weighed by its noise along and across the line of sight."""
-        images = np.arange(len(self._ball))
-        weights = whitening(self._residuals(found), self._ball)
+        images = np.arange(len(self._z))
+        weights = whitening(self._residuals(found), self._z)
         found = self._solve(found, weights, images)
         # A wrong optimum can fit almost as well, since noise hides the curvature of a weak joint.
         # The right side converges in about six evaluations, a wrong one does not.
@@ -305,16 +303,16 @@ class _Fitting:
             about = found._replace(chain=other)
             turned = self._solve(about, weights, images, evaluations=10)
             if turned.cost < found.cost:
-                weights = whitening(self._residuals(turned), self._ball)
+                weights = whitening(self._residuals(turned), self._z)
                 found = self._solve(turned, weights, images)
         # Outliers had a small weight so far, but a long run of them would still bias the fit.
-        inlier = inliers(self._residuals(found), self._ball)
+        inlier = inliers(self._residuals(found), self._z)
         if not inlier.all():
             found = self._solve(found, weights, images[inlier])
         residual = self._residuals(found)
         residual_m, noise_m = self._distances_m(residual)
-        ray_m, lateral_m = noise_by_direction(residual[:, :3], self._ball)
-        inlier = inliers(residual, self._ball)
+        ray_m, lateral_m = noise_by_direction(residual[:, :3], self._z)
+        inlier = inliers(residual, self._z)
         covariance, unfitted = self._moments(found, weights, inlier)
         return ChainFit(
             chain=found.chain.weighted(1.0 / self._weights),
@@ -333,7 +331,7 @@ class _Fitting:
 
     def _residuals(self, found: _Found) -> np.ndarray:
         joints = self._path.joints_and_velocities(found.offset_s)[0]
-        return found.chain.position(joints) - self._ball
+        return found.chain.position(joints) - self._z
 
     def _solve(
         self,
@@ -355,7 +353,7 @@ class _Fitting:
         def white(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             joints, velocity = self._path.joints_and_velocities(float(values[OFFSET]))
             residual, slope = residuals_and_slopes(
-                chart, values, joints[images], velocity[images], self._ball[images]
+                chart, values, joints[images], velocity[images], self._z[images]
             )
             return whitening[images] @ residual[..., None], whitening[images] @ slope
 
@@ -386,9 +384,9 @@ class _Fitting:
         joints, velocity = self._path.joints_and_velocities(found.offset_s)
         chart = Chart(found.chain)
         residual, slope = residuals_and_slopes(
-            chart, np.zeros(chart.size), joints, velocity, self._ball
+            chart, np.zeros(chart.size), joints, velocity, self._z
         )
-        beside = np.kron(np.eye(self._ball.shape[1]), (joints - joints.mean(axis=0))[:, None])
+        beside = np.kron(np.eye(self._z.shape[1]), (joints - joints.mean(axis=0))[:, None])
         columns = np.concatenate([slope, beside], axis=2)
         rows = (whitening @ columns)[inlier].reshape(-1, columns.shape[2])
         wanted = (whitening @ residual[..., None])[inlier].ravel()

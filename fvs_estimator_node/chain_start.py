@@ -92,7 +92,7 @@ class Regression:
 
 
 def regress(
-    offset_s: float, joints_rad: np.ndarray, reference_rad: np.ndarray, ball_m: np.ndarray
+    offset_s: float, joints_rad: np.ndarray, reference_rad: np.ndarray, feature_m: np.ndarray
 ) -> Regression:
     """The feature, m, (k, m), as a cubic function of the joints, rad, (k, n), robustly."""
     d = joints_rad - reference_rad
@@ -107,12 +107,12 @@ def regress(
         rows = design * weight[:, None]
         # No derivative is above the arm's reach: where joints moved alike, others would fit, too.
         gram = rows.T @ rows + np.diag((typical_m / (_REACH_M * scale)) ** 2)
-        solution = np.linalg.solve(gram, rows.T @ (ball_m * weight[:, None]))
-        distance = np.linalg.norm(ball_m - design @ solution, axis=1)
+        solution = np.linalg.solve(gram, rows.T @ (feature_m * weight[:, None]))
+        distance = np.linalg.norm(feature_m - design @ solution, axis=1)
         typical_m = max(float(np.median(distance)), 1e-6)
         weight = np.minimum(1.0, 2.0 * typical_m / np.maximum(distance, 1e-12)) ** 0.5
     solution = solution / scale[:, None]
-    m = ball_m.shape[1]
+    m = feature_m.shape[1]
     slopes, bends = np.zeros((m, n)), np.zeros((m, n, n))
     for term, value in zip(terms, solution, strict=True):
         if len(term) == 1:
@@ -128,7 +128,7 @@ def first_guess(regression: Regression, reference_rad: np.ndarray) -> SerialChai
 
     A prismatic joint has a slope of length 1 and no bends.
     """
-    slopes, bends, ball_m = regression.slopes[:3], regression.bends[:3], regression.position_m[:3]
+    slopes, bends, point_m = regression.slopes[:3], regression.bends[:3], regression.position_m[:3]
     directions = -cross_matrix(regression.position_m[3:].reshape(-1, 3)).reshape(-1, 3)
     axes, prismatic = np.empty_like(slopes.T), np.zeros(slopes.shape[1])
     for i in range(len(axes)):
@@ -141,7 +141,7 @@ def first_guess(regression: Regression, reference_rad: np.ndarray) -> SerialChai
         shift = float(np.linalg.norm(slopes[:, i]))
         if length < _TURNS and abs(shift - 1.0) < _SHIFTS:
             axes[i], prismatic[i] = slopes[:, i], 1.0
-    points = ball_m - np.cross(slopes.T, axes)
+    points = point_m - np.cross(slopes.T, axes)
     return SerialChain(axes, points, regression.position_m, reference_rad, prismatic)
 
 

@@ -27,20 +27,20 @@ _VERSION = 1
 _MAX_BYTES = 2**28
 #: Longest error sentence, and most notes of a model and longest of them: a file may hold anything.
 _LONGEST_ERROR, _MOST_NOTES, _LONGEST_NOTE = 800, 20, 500
-#: Ball positions of the training that are kept.
-_BALL_SAMPLES = 500
+#: Measurements of the training that a model keeps.
+_Z_SAMPLES = 500
 #: Numbers that are further than this from any measurement of their kind are none.
 _NO_MEASUREMENT = 0.01
 
-_DATA_SET = {"stamps_s": ("k",), "joints_rad": ("k", "n"), "ball_m": ("k", "m"), "segment": ("k",)}
+_DATA_SET = {"stamps_s": ("k",), "joints_rad": ("k", "n"), "z": ("k", "m"), "segment": ("k",)}
 _MODEL: dict[str, tuple[int | str, ...]] = {
     "joint_box_rad": (2, "n"),
-    "ball_box_m": (2, "m"),
-    "ball_samples_m": ("k", "m"),
+    "z_samples": ("k", "m"),
 }
 _NETWORKS = ("centres", "widths", "weights")
-_CHAIN = {f"chain_{name}": name for name in CHAIN_SHAPES if name != "feature_m"}
-_CHAIN["chain_ball_m"] = "feature_m"
+_CHAIN = {f"chain_{name}": name for name in CHAIN_SHAPES}
+#: Fields by the names that they had in files written before there were poses.
+_BEFORE = {"ball_m": "z", "ball_samples_m": "z_samples", "chain_ball_m": "chain_feature_m"}
 
 
 class FileError(ValueError):
@@ -70,7 +70,7 @@ class _OfFeature:
 
 @dataclass(frozen=True)
 class DataSet(_OfFeature):
-    """k ball positions and the joints at their exposures.
+    """k measurements and the joints at their exposures.
 
     Parameters
     ----------
@@ -78,14 +78,14 @@ class DataSet(_OfFeature):
         Exposure times, s; rising within a segment.
     joints_rad : ndarray, shape (k, n)
         Joint positions at exposure, rad.
-    ball_m : ndarray, shape (k, m)
-        Measurements of the kind, such as ball positions in the feature frame, m.
+    z : ndarray, shape (k, m)
+        Measurements of the kind, such as ball positions, m.
     segment : ndarray of int, shape (k,)
         Number of the continuous run a sample belongs to; never falls.
     joint_names : tuple of str, optional
         Names of the columns of ``joints_rad``; by default ``joint_1``, ``joint_2``, ...
     feature_frame : str
-        Frame of the ball positions.
+        Frame of the measurements.
     provenance : dict
         Where it comes from; anything that JSON can hold.
     still : bool
@@ -101,7 +101,7 @@ class DataSet(_OfFeature):
 
     stamps_s: np.ndarray
     joints_rad: np.ndarray
-    ball_m: np.ndarray
+    z: np.ndarray
     segment: np.ndarray
     joint_names: tuple[str, ...] = ()
     feature_frame: str = CAMERA_FRAME
@@ -110,7 +110,7 @@ class DataSet(_OfFeature):
 
     def __post_init__(self) -> None:
         n = check_arrays(self, _DATA_SET, {})["n"]
-        self._check_numbers(self.ball_m)
+        self._check_numbers(self.z)
         names = tuple(self.joint_names) or tuple(f"joint_{i + 1}" for i in range(n))
         if len(names) != n:
             raise ValueError(f"{len(names)} joint names and {n} joints do not fit together")
@@ -134,8 +134,8 @@ class DataSet(_OfFeature):
 
 def data_set_of(samples: Sequence[Sample], **particulars: Any) -> DataSet:
     """A data set of samples; ``particulars`` are its other fields."""
-    stamps_s, joints_rad, ball_m, run = (np.array(column) for column in zip(*samples, strict=True))
-    return DataSet(stamps_s, joints_rad, ball_m, run, **particulars)
+    stamps_s, joints_rad, z, run = (np.array(column) for column in zip(*samples, strict=True))
+    return DataSet(stamps_s, joints_rad, z, run, **particulars)
 
 
 @dataclass(frozen=True)
@@ -148,14 +148,12 @@ class TrainedModel(_OfFeature):
         Centres, widths, weights.
     joint_box_rad : ndarray, shape (2, n)
         Least and greatest joint positions trained on, rad; outside, the networks extrapolate.
-    ball_box_m : ndarray, shape (2, m)
-        Least and greatest ball positions trained on, m.
-    ball_samples_m : ndarray, shape (k, m)
-        Some of the ball positions trained on, m: places that the arm can reach.
+    z_samples : ndarray, shape (k, m)
+        Some of the measurements trained on: the arm can reach them.
     joint_names : tuple of str
         The joint order.
     feature_frame : str
-        Frame of the ball positions.
+        Frame of the measurements.
     errors : dict
         Error figures of the training, name to number.
     provenance : dict
@@ -173,8 +171,7 @@ class TrainedModel(_OfFeature):
 
     model: RbfModel
     joint_box_rad: np.ndarray
-    ball_box_m: np.ndarray
-    ball_samples_m: np.ndarray
+    z_samples: np.ndarray
     joint_names: tuple[str, ...]
     feature_frame: str = CAMERA_FRAME
     errors: Mapping[str, Any] = field(default_factory=dict)
@@ -191,11 +188,10 @@ class TrainedModel(_OfFeature):
                 "joints do not fit together"
             )
         check_arrays(self, _MODEL, {"n": n, "m": m})
-        self._check_numbers(self.ball_samples_m)
-        for name in ("joint_box_rad", "ball_box_m"):
-            low, high = getattr(self, name)
-            if np.any(low > high):
-                raise ValueError(f"{name} has a least value above the greatest")
+        self._check_numbers(self.z_samples)
+        low, high = self.joint_box_rad
+        if np.any(low > high):
+            raise ValueError("joint_box_rad has a least value above the greatest")
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -206,14 +202,11 @@ class TrainedModel(_OfFeature):
         return tuple(" ".join(str(note).split())[:_LONGEST_NOTE] for note in notes[:_MOST_NOTES])
 
 
-def boxes_of(
-    joints_rad: np.ndarray, ball_m: np.ndarray, rng: np.random.Generator
-) -> dict[str, Any]:
-    """A model's description of its training data: the boxes, and some ball positions."""
+def range_of(joints_rad: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
+    """A model's fields on what it was trained on: joints, rad, (k, n), and measurements, (k, m)."""
     return {
         "joint_box_rad": np.stack([joints_rad.min(axis=0), joints_rad.max(axis=0)]),
-        "ball_box_m": np.stack([ball_m.min(axis=0), ball_m.max(axis=0)]),
-        "ball_samples_m": ball_m[rng.permutation(len(ball_m))[:_BALL_SAMPLES]],
+        "z_samples": z[rng.permutation(len(z))[:_Z_SAMPLES]],
     }
 
 
@@ -342,7 +335,8 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
             total = sum(member.file_size for member in members)
             if total <= _MAX_BYTES:
                 arrays = {m.filename: _array(m.filename, archive.read(m)) for m in members}
-                return {name.removesuffix(".npy"): array for name, array in arrays.items()}
+                names = (name.removesuffix(".npy") for name in arrays)
+                return {_BEFORE.get(n, n): a for n, a in zip(names, arrays.values(), strict=True)}
     except OSError:
         raise
     except Exception as error:  # those of zipfile, zlib, lzma and numpy have no common base

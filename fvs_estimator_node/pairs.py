@@ -53,24 +53,26 @@ class TrainingError(ValueError):
 
 
 class Pairs:
-    """Pairs of k images, joints, rad, (k, n), and ball, m, (k, m), and the least squares on them.
+    """Pairs of k images, joints, rad, (k, n), and features, m, (k, m), and their least squares.
 
     Raises TrainingError if they determine nothing.
     """
 
     def __init__(
-        self, joints_rad: np.ndarray, ball_m: np.ndarray, rng: np.random.Generator
+        self, joints_rad: np.ndarray, features_m: np.ndarray, rng: np.random.Generator
     ) -> None:
-        if len(ball_m) < _MIN_SAMPLES:
+        if len(features_m) < _MIN_SAMPLES:
             raise TrainingError(
-                f"the data set has {len(ball_m)} images, expected at least {_MIN_SAMPLES}"
+                f"the data set has {len(features_m)} images, expected at least {_MIN_SAMPLES}"
             )
-        self.joints, self.ball, self._rng = joints_rad, ball_m, rng
+        self.joints, self._z, self._rng = joints_rad, features_m, rng
         spread = self.joints.std(axis=0)
         if spread.max() < 1e-3:
             raise TrainingError("the joints hardly move in the data set, so there is no Jacobian")
-        if np.linalg.norm(self.ball.std(axis=0)) < 1e-4:
-            raise TrainingError("the ball does not move in the data set, so there is no Jacobian")
+        if np.linalg.norm(self._z.std(axis=0)) < 1e-4:
+            raise TrainingError(
+                "what was seen does not move in the data set, so there is no Jacobian"
+            )
         self._width_rad = _WIDTH_FACTOR * float(np.sqrt(np.mean(spread**2)))
         widest_rad = float(np.ptp(self.joints, axis=0).max())
         self._nodes = int(np.clip(math.ceil(widest_rad / _NODE_SPACING_RAD), 2, 8))
@@ -108,7 +110,7 @@ class Pairs:
 
     def _split(self) -> list[np.ndarray]:
         """Indices to fit, to choose and to judge with: whole pieces of the motion."""
-        pieces = np.array_split(np.arange(len(self.ball)), _PIECES)
+        pieces = np.array_split(np.arange(len(self._z)), _PIECES)
         order = self._rng.permutation(_PIECES)
         parts = order[2 * _KEPT_BACK :], order[_KEPT_BACK : 2 * _KEPT_BACK], order[:_KEPT_BACK]
         return [np.sort(np.concatenate([pieces[i] for i in part])) for part in parts]
@@ -135,7 +137,7 @@ class Pairs:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Regressors, (p, n k), and the ball's motion, (p, m), of pairs."""
         regressors = line_regressors(neurons, self.joints[first], self.joints[second], self._nodes)
-        return regressors, self.ball[second] - self.ball[first]
+        return regressors, self._z[second] - self._z[first]
 
     def _solve(self, neurons: Neurons, images: np.ndarray) -> np.ndarray:
         """The weights, (n k, m), that fit some images best."""
@@ -151,7 +153,7 @@ class Pairs:
         weights = self._solve(neurons, fitting)
         middle = np.broadcast_to(self.joints[fitting].mean(axis=0), self.joints.shape)
         moved = line_regressors(neurons, middle, self.joints, self._nodes) @ weights
-        residual = self.ball - moved
+        residual = self._z - moved
         usual = median_filter(residual, (_NEIGHBOURS, 1), mode="nearest")
         distance = np.linalg.norm(residual - usual, axis=1)
         good: np.ndarray = distance <= max(_OUTLIER_FACTOR * float(np.median(distance)), 1e-9)
@@ -186,7 +188,7 @@ class Pairs:
 
         def draw() -> Batch:
             first, second = self._draw(fitting, _BATCH)
-            return self.joints[first], self.joints[second], self.ball[second] - self.ball[first]
+            return self.joints[first], self.joints[second], self._z[second] - self._z[first]
 
         def report(iteration: int, centres: np.ndarray, widths: np.ndarray) -> None:
             nonlocal best_score, best

@@ -17,7 +17,7 @@ import numpy as np
 
 from fvs_estimator_node.chain_fit import ChainFit, fit_chain
 from fvs_estimator_node.chain_start import MAX_OFFSET_S, STILL_RAD
-from fvs_estimator_node.files import DataSet, TrainedModel, boxes_of
+from fvs_estimator_node.files import DataSet, TrainedModel, range_of
 from fvs_estimator_node.pairs import Pairs, Progress, TrainingError, ridge_weights
 from fvs_estimator_node.rbf import RbfModel, rbf_features
 from fvs_ros.chain import SerialChain
@@ -99,17 +99,18 @@ def train(
     rng = np.random.default_rng(options.seed)
     poe = options.method == "poe"
     fit, why = _fitted(data, say, needed=poe)
-    model, boxes, errors = _networks(data, fit, options, rng, progress, say)
+    model, trained_on, errors = _networks(data, fit, options, rng, progress, say)
     faults: list[str] = []
     if fit is not None:
-        errors = {**_figures(fit, model, _within(boxes["joint_box_rad"], rng, _JUDGED)), **errors}
+        judged_rad = _within(trained_on["joint_box_rad"], rng, _JUDGED)
+        errors = {**_figures(fit, model, judged_rad), **errors}
         faults = _chain_faults(fit, errors["jacobian_deviation"])
         why = faults[0] if faults and not poe else ""
     notes = _notes(data, errors, faults if poe else [])
     came_from = {"method": options.method, "options": asdict(options), "no_chain": why}
     return TrainedModel(
         model,
-        **boxes,
+        **trained_on,
         joint_names=data.joint_names,
         feature_frame=data.feature_frame,
         feature=data.feature,
@@ -141,21 +142,21 @@ def _networks(
     progress: Progress | None,
     say: Callable[[str], None] | None,
 ) -> tuple[RbfModel, dict[str, Any], dict[str, Any]]:
-    """The networks, the boxes that they were trained in, and the figures of their training."""
+    """The networks, what they were trained on, and the figures of their training."""
     poe = options.method == "poe"
     weights = data.kind.weights
-    pairs = None if poe else Pairs(data.joints_rad, weights * data.ball_m, rng)
+    pairs = None if poe else Pairs(data.joints_rad, weights * data.z, rng)
     if say is not None:
         say("training the networks")
     if pairs is None:
         assert fit is not None
-        boxes = boxes_of(data.joints_rad, data.ball_m, rng)
-        return distil(fit.chain, boxes["joint_box_rad"], options.count, rng), boxes, {}
+        trained_on = range_of(data.joints_rad, data.z, rng)
+        return distil(fit.chain, trained_on["joint_box_rad"], options.count, rng), trained_on, {}
     pairs.joints = _joints_seen(data, fit.time_offset_s if fit is not None else 0.0)
     iterations = options.iterations if options.method == "varpro" else 0
     weighted, good, errors = pairs.train(options.count, iterations, progress)
     model = replace(weighted, weights=weighted.weights / weights[:, None])
-    return model, boxes_of(pairs.joints[good], data.ball_m[good], rng), errors
+    return model, range_of(pairs.joints[good], data.z[good], rng), errors
 
 
 def distil(

@@ -100,7 +100,7 @@ def servo(task: tuple[str, int, float]) -> list[dict[str, Any]]:
         ),
     )
     rng, (low, high) = np.random.default_rng(3), trained.joint_box_rad
-    least_m = FAR * float(np.ptp(trained.ball_box_m, axis=0).max())
+    least_m = FAR * float(np.ptp(trained.z_samples, axis=0).max())
     pairs = apart(simulation, lambda: rng.uniform(low, high, (2, low.size)), least_m)
     rows = []
     for number, pair in enumerate(islice(pairs, count)):

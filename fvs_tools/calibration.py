@@ -63,9 +63,7 @@ def calibrate(data: DataSet, arm: Kinematics, camera_on_arm: bool = False) -> Es
         raise CalibrationError(
             f"the images are stamped {delay_s:+.2f} s late, or more: correct their stamps"
         )
-    spread_m = np.median(
-        np.linalg.norm(data.ball_m[:, :3] - data.ball_m[:, :3].mean(axis=0), axis=1)
-    )
+    spread_m = np.median(np.linalg.norm(data.z[:, :3] - data.z[:, :3].mean(axis=0), axis=1))
     if estimate.median_residual_m > _UNEXPLAINED * spread_m:
         raise CalibrationError(
             f"no arm with the joints {', '.join(arm.names)[:200]} explains the images: check tip "
@@ -81,7 +79,7 @@ def _ordered(data: DataSet, arm: Kinematics) -> DataSet:
         raise CalibrationError(
             f"ball or tag has the frame {data.feature_frame!r}, expected the camera's"
         )
-    if not (plausible(data.ball_m) and plausible(arm.points_m)):
+    if not (plausible(data.z) and plausible(arm.points_m)):
         raise CalibrationError(
             f"the images or the URDF have positions above {LARGEST:g} m: metres?"
         )

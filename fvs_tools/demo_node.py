@@ -31,7 +31,7 @@ class DemoNode(ros.FvsNode):
         config = self._config
         self._kind = kind = config.kind
         trained = load_model(find_file(config.model_path or kind.model), expected=config)
-        self._candidates, names = trained.ball_samples_m, trained.joint_names
+        self._candidates, names = trained.z_samples, trained.joint_names
         self._rng = np.random.default_rng(self._config.seed)
         self._joint_map = JointMap(names)
         self._records: list[demo.TargetRecord] = []

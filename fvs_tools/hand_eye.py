@@ -161,7 +161,7 @@ def _start(
     """Optimum from a delay of the images, s, for some of them, and their median residual, m."""
     path = Path(data)
     joints = path.joints_and_velocities(delay_s)[0]
-    model = HandEyeModel(data, arm, *registration(arm, joints, data.ball_m[path.indices]))
+    model = HandEyeModel(data, arm, *registration(arm, joints, data.z[path.indices]))
     values = np.zeros(sum(model.sizes))
     model.unknowns(values).delay_s[:] = delay_s
     values = _optimum(model, prior, values, _FIRST)

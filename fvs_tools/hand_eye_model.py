@@ -61,7 +61,7 @@ class HandEyeModel:
         self.data, self.arm, self.kind, self.path = data, arm, data.kind, Path(data)
         self._base_from_camera, self._target = base_from_camera, target
         #: What the images show, (k, m).
-        self.measured = data.ball_m[self.path.indices]
+        self.measured = data.z[self.path.indices]
         n = len(arm.names)
         #: Of the parts of the unknowns.
         self.sizes = 6, self.kind.size, 1, 1, 1, 1, n, n, 6 * (n - 1)

@@ -159,7 +159,7 @@ def rendered_loop(method="rbf", seed=1, **disturbances):
     estimator = make_estimator(method, simulation)
     loop = ClosedLoop(simulation, estimator, {"max_joint_velocity_rad_s": 1.0})
     loop.run(0.3)
-    candidates_m = load_model(find_file(Ball.model)).ball_samples_m
+    candidates_m = load_model(find_file(Ball.model)).z_samples
 
     def target(distance_m=0.3):
         return choose_target(Ball(), candidates_m, simulation.true_ball_position(), distance_m, rng)

@@ -105,7 +105,7 @@ def test_zeros_of_the_joints_are_found_where_a_camera_can_tell_them():
 
 def lens(data, focal):
     """Balls where a lens shows them that camera_info describes wrongly."""
-    return replace(data, ball_m=data.ball_m * [focal, focal, 1.0])
+    return replace(data, z=data.z * [focal, focal, 1.0])
 
 
 def tags(data, k1):
@@ -113,7 +113,7 @@ def tags(data, k1):
     pose, camera, rng = Pose(0.3), np.diag([600.0, 600.0, 1.0]), np.random.default_rng(4)
     corners = 0.05 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     seen = []
-    for z in data.ball_m:
+    for z in data.z:
         points = corners @ pose.rotation(z).T + z[:3]
         tangent = points[:, :2] / points[:, 2:]
         factor = 1.0 + k1 * np.sum(tangent**2, axis=1, keepdims=True)
@@ -121,7 +121,7 @@ def tags(data, k1):
         about = cv2.Rodrigues(pose.rotation(z))[0], z[:3].reshape(3, 1).copy()
         turn, place = cv2.solvePnPRefineLM(corners, image, camera, None, *about)
         seen.append(pose.of_body(place.ravel(), cv2.Rodrigues(turn)[0]))
-    return replace(data, ball_m=np.array(seen))
+    return replace(data, z=np.array(seen))
 
 
 def geared(data):
@@ -138,7 +138,7 @@ def geared(data):
         (
             "ball",
             2e-4,
-            lambda data: replace(data, ball_m=1.01 * data.ball_m),
+            lambda data: replace(data, z=1.01 * data.z),
             [r"lengths \+(0.9|1.0)"],
         ),
         ("ball", 2e-4, geared, [r"elbow_joint moves \+0.(4|5)"]),
@@ -176,7 +176,7 @@ def late(data):
 
 
 def in_mm(data):
-    return replace(data, ball_m=1e3 * data.ball_m), ARM
+    return replace(data, z=1e3 * data.z), ARM
 
 
 def swapped(data):
@@ -321,7 +321,7 @@ def test_what_the_robot_says_of_its_tool_is_no_tag():
         pose.of_body(half @ (place_m - base_m), half @ turn.T)
         for place_m, turn in zip(places_m, turns, strict=True)
     ]
-    data = replace(data, ball_m=np.array(told), feature="pose", feature_frame="base")
+    data = replace(data, z=np.array(told), feature="pose", feature_frame="base")
     word, reason = verdict_of(calibrate(data, arm))
     assert word == "unusable"
     assert "base is where the arm's base is" in reason

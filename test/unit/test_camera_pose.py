@@ -108,7 +108,7 @@ def test_the_jacobian_behind_a_turned_camera(networks, method, within):
 def test_each_bump_is_counted_and_nothing_else(bumped_s):
     recording, turned = Recording(seconds=20.0, outliers=0.0, late_s=0.0), turn([0, 1, 0], 0.3)
     data, estimator = recording.data(), PoeEstimator(recording.chain())
-    for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.ball_m, strict=True):
+    for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.z, strict=True):
         seen = turned @ ball if stamp_s > bumped_s else ball
         estimator.observe(joints, seen, NOISE_M)
     assert estimator.camera.bumps == int(bumped_s < 20.0)

@@ -96,7 +96,7 @@ def test_it_says_how_good_it_is_with_a_camera_and_joints_that_err(scales, encode
     """In the frame of the camera as it is: what servoing by it needs."""
     recording = Recording()
     data = with_encoder_noise(encoder_noise_rad, recording.data())
-    fit = fit_chain(replace(data, ball_m=data.ball_m * scales))
+    fit = fit_chain(replace(data, z=data.z * scales))
     places = recording.places(50)
     seen = np.diag(scales) @ recording.chain().jacobian(places)
     error = np.median(relative_error(fit.chain.jacobian(places), seen))
@@ -148,14 +148,14 @@ def pushing(recording):
     joints = data.joints_rad.copy()
     joints[:, 2] = ur5_dh.HOME_RAD[2]
     pushed = np.outer(0.4 * data.joints_rad[:, 2], [0.6, 0.7, 0.4])
-    return replace(data, ball_m=recording.chain().position(joints) + pushed)
+    return replace(data, z=recording.chain().position(joints) + pushed)
 
 
 def swinging(recording):
     """The ball hangs on a thread."""
     data = recording.data()
     time_s = data.stamps_s[:, None]
-    return replace(data, ball_m=data.ball_m + 0.01 * np.sin(7.0 * time_s + [0.0, 1.0, 2.0]))
+    return replace(data, z=data.z + 0.01 * np.sin(7.0 * time_s + [0.0, 1.0, 2.0]))
 
 
 def misnamed(recording):
@@ -174,9 +174,9 @@ def test_what_is_no_chain_shows(spoilt):
 def test_a_stretch_that_is_far_off_pulls_at_nothing(frozen):
     recording = Recording()
     data = recording.data()
-    ball = data.ball_m.copy()
+    ball = data.z.copy()
     ball[500:680] = ball[500] if frozen else ball[500:680] + [0.05, 0.0, 0.0]
-    fit = fit_chain(replace(data, ball_m=ball))
+    fit = fit_chain(replace(data, z=ball))
     assert error_of(fit, recording) < 0.001
     assert fit.outliers > 150
 
@@ -185,8 +185,8 @@ def test_a_stretch_that_is_far_off_pulls_at_nothing(frozen):
     ("spoilt", "words"),
     [
         (lambda data: replace(data, segment=np.arange(len(data)) // 10), "the data set has 0"),
-        (lambda data: replace(data, ball_m=1e-4 * data.ball_m), "the ball does not move"),
-        (lambda data: replace(data, ball_m=1e3 * data.ball_m), "has a place above 100 m"),
+        (lambda data: replace(data, z=1e-4 * data.z), "the ball does not move"),
+        (lambda data: replace(data, z=1e3 * data.z), "has a place above 100 m"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused_in_words(spoilt, words):

@@ -11,9 +11,9 @@ from fvs_estimator_node.files import (
     DataSet,
     FileError,
     TrainedModel,
-    boxes_of,
     load_data_set,
     load_model,
+    range_of,
     save_data_set,
     save_model,
 )
@@ -36,7 +36,6 @@ def some_model():
     return TrainedModel(
         RbfModel(rng.normal(size=(6, 4, 6)), np.ones((6, 4)), rng.normal(size=(6, 3, 4))),
         np.array([[-1.0] * 6, [1.0] * 6]),
-        np.array([[-1.0] * 3, [1.0] * 3]),
         rng.normal(size=(5, 3)),
         UR_JOINT_NAMES,
         errors={"pair_error_relative": 0.01},
@@ -83,8 +82,10 @@ def test_a_data_set_comes_back_as_it_was(tmp_path):
     data = some_data()
     save_data_set(tmp_path / "d.npz", data)
     back = load_data_set(tmp_path / "d.npz", joint_names=("a", "b", "c"))
-    for name in ("stamps_s", "joints_rad", "ball_m", "segment"):
+    for name in ("stamps_s", "joints_rad", "z", "segment"):
         np.testing.assert_array_equal(getattr(back, name), getattr(data, name))
+    rewrite(tmp_path / "d.npz", z=None, ball_m=data.z)  # as it was called before
+    np.testing.assert_array_equal(load_data_set(tmp_path / "d.npz").z, data.z)
     assert (back.joint_names, back.feature_frame) == (("a", "b", "c"), "lens")
     assert back.provenance == data.provenance
     assert [run.stop for run in back.runs()] == [4, 8]
@@ -97,7 +98,7 @@ def test_a_model_comes_back_as_it_was(tmp_path, has_chain):
     back = load_model(tmp_path / "m.npz", expected=KindConfig())
     for name in ("centres", "widths", "weights"):
         np.testing.assert_array_equal(getattr(back.model, name), getattr(trained.model, name))
-    for name in ("joint_box_rad", "ball_box_m", "ball_samples_m"):
+    for name in ("joint_box_rad", "z_samples"):
         np.testing.assert_array_equal(getattr(back, name), getattr(trained, name))
     assert (back.errors, back.provenance) == (trained.errors, trained.provenance)
     assert (back.chain is not None) == has_chain
@@ -139,7 +140,7 @@ ZERO_AXIS[2] = 0.0
         ("data set", {"segment": np.arange(8)[::-1]}, "go back"),
         ("model", {"widths": -np.ones((6, 4))}, "widths must be positive"),
         ("model", {"joint_box_rad": np.array([[1.0] * 6, [-1.0] * 6])}, "least value above"),
-        ("model", {"chain_ball_m": None}, "lacks the field 'chain_ball_m'"),
+        ("model", {"chain_feature_m": None}, "lacks the field 'chain_feature_m'"),
         ("model", {"chain_axes": ZERO_AXIS}, "an axis of a chain has no direction"),
     ],
 )
@@ -179,17 +180,17 @@ def test_a_pose_is_read_as_a_pose_and_not_as_a_ball(tmp_path):
     joints = rng.normal(size=(12, 6))
     seen = chain.position(joints)
     networks = RbfModel(rng.normal(size=(6, 4, 6)), np.ones((6, 4)), rng.normal(size=(6, 12, 4)))
-    boxes = boxes_of(joints, seen, rng)
+    trained_on = range_of(joints, seen, rng)
     save_data_set(tmp_path / "d.npz", DataSet(np.arange(12.0), joints, seen, np.zeros(12), **of))
-    model = TrainedModel(networks, **boxes, joint_names=UR_JOINT_NAMES, chain=chain, **of)
+    model = TrainedModel(networks, **trained_on, joint_names=UR_JOINT_NAMES, chain=chain, **of)
     save_model(tmp_path / "m.npz", model)
     wanted = KindConfig("lens", "pose")
     data = load_data_set(tmp_path / "d.npz", expected=wanted)
-    np.testing.assert_array_equal(data.ball_m, seen)
+    np.testing.assert_array_equal(data.z, seen)
     back = load_model(tmp_path / "m.npz", expected=wanted)
     np.testing.assert_allclose(back.chain.position(joints), seen)
     with pytest.raises(FileError, match="made for feature pose, expected ball"):
         load_model(tmp_path / "m.npz", expected=KindConfig("lens"))
-    rewrite(tmp_path / "d.npz", ball_m=2.0 * seen)
+    rewrite(tmp_path / "d.npz", z=2.0 * seen)
     with pytest.raises(FileError, match="is no pose"):
         load_data_set(tmp_path / "d.npz")

@@ -53,10 +53,10 @@ def test_a_late_camera_and_many_outliers_are_told():
 
 def test_a_camera_that_was_moved_meanwhile_is_named_first():
     def bumped(data):
-        ball = data.ball_m.copy()
+        ball = data.z.copy()
         half = len(ball) // 2
         ball[half:] = ball[half:] @ turn([0.0, 0.0, 1.0], np.radians(3.0)).T
-        return replace(data, ball_m=ball)
+        return replace(data, z=ball)
 
     note = notes_of(Recording(seconds=20.0, late_s=0.0, outliers=0.0), bumped)[0]
     assert "does not move on a rigid chain" in note
@@ -65,7 +65,7 @@ def test_a_camera_that_was_moved_meanwhile_is_named_first():
 
 def test_a_cameras_own_systematic_errors_are_no_alarm():
     def uneven(data):
-        return replace(data, ball_m=data.ball_m + 0.0005 * np.sin(20.0 * data.ball_m[:, [1, 2, 0]]))
+        return replace(data, z=data.z + 0.0005 * np.sin(20.0 * data.z[:, [1, 2, 0]]))
 
     recording = Recording(seconds=30.0, noise_m=0.0003, late_s=0.0, outliers=0.0)
     assert notes_of(recording, uneven) == ()

@@ -37,7 +37,7 @@ def recorded(folder, photograph=False):
     data = collected(seconds=20.0)
     one, point = Bag(folder, {}), T["geometry_msgs/msg/Point"]
     names, nothing = [*ARM.names[::-1], "finger"], np.empty(0)
-    for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.ball_m, strict=True):
+    for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.z, strict=True):
         angles = np.append(joints[::-1], np.nan)
         kind = "sensor_msgs/msg/JointState"
         one.write(message("/arm/joint_states", kind, stamp_s, names, angles, nothing, nothing))
@@ -135,7 +135,7 @@ def beside_zeros(bag, stamp_s, joints):
 )
 def test_why_joint_states_cannot_be_used_is_said(tmp_path, capsys, publish, words):
     data, bag = collected(seconds=8.0), Bag(tmp_path / "bag", {})
-    for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.ball_m, strict=True):
+    for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.z, strict=True):
         publish(bag, stamp_s, joints)
         point = T["geometry_msgs/msg/Point"](*ball)
         bag.write(message("/ball_position", "geometry_msgs/msg/PointStamped", stamp_s, point))

@@ -24,7 +24,7 @@ def stills(feature="pose", on_arm=False, count=30):
     """Some images of a motion, each as of an arm that stood still."""
     data = collected(feature, on_arm=on_arm, seconds=60.0)
     some = np.linspace(0, len(data) - 1, count).astype(int)
-    columns = {name: getattr(data, name)[some] for name in ("stamps_s", "joints_rad", "ball_m")}
+    columns = {name: getattr(data, name)[some] for name in ("stamps_s", "joints_rad", "z")}
     return replace(data, **columns, segment=np.arange(count), still=True)
 
 
@@ -43,7 +43,7 @@ def degrees(data):
 
 
 def shuffled(data):
-    return replace(data, ball_m=np.random.default_rng(0).permutation(data.ball_m))
+    return replace(data, z=np.random.default_rng(0).permutation(data.z))
 
 
 def few(data):
@@ -69,7 +69,7 @@ def test_a_chain_is_fitted_to_still_poses(tmp_path):
     fit = fit_chain(load_data_set(tmp_path / "stills.npz"))
     places = chain.reference_rad + rng.uniform(-0.5, 0.5, (200, 6))
     assert np.median(relative_error(fit.chain.jacobian(places), chain.jacobian(places))) < 0.006
-    few = {name: getattr(data, name)[:20] for name in ("stamps_s", "joints_rad", "ball_m")}
+    few = {name: getattr(data, name)[:20] for name in ("stamps_s", "joints_rad", "z")}
     few = replace(data, **few, segment=np.arange(20))
     with pytest.raises(ChainFitError, match="at least 27 still poses, the data set has 20"):
         fit_chain(few)
@@ -80,7 +80,7 @@ def test_a_bag_of_still_poses_leaves_out_images_in_motion(tmp_path):
     data, nothing = stills("ball", count=14), np.empty(0)
     point = T["geometry_msgs/msg/Point"]
     with closing(Bag(tmp_path / "bag", {})) as bag:
-        for k, (joints, ball) in enumerate(zip(data.joints_rad, data.ball_m, strict=True)):
+        for k, (joints, ball) in enumerate(zip(data.joints_rad, data.z, strict=True)):
             for at_s in np.arange(0.0, 0.5, 0.02):
                 moved = joints + (0.3 * (at_s - 0.4) if k >= 12 else 0.0)
                 kind = "sensor_msgs/msg/JointState"
@@ -111,7 +111,7 @@ def poses(places_m, rotations):
 
 def images_of(data):
     feature = data.kind
-    return poses(data.ball_m[:, :3], [feature.rotation(feature.nearest(x)) for x in data.ball_m])
+    return poses(data.z[:, :3], [feature.rotation(feature.nearest(x)) for x in data.z])
 
 
 def hands(joints):

@@ -59,7 +59,7 @@ def changed(path, change):
 
 
 def first_20(data):
-    names = ("stamps_s", "joints_rad", "ball_m", "segment")
+    names = ("stamps_s", "joints_rad", "z", "segment")
     return replace(data, **{name: getattr(data, name)[:20] for name in names})
 
 

@@ -61,10 +61,10 @@ def test_two_minutes_of_the_collectors_motion_suffice():
 
 def test_outliers_are_left_out():
     data = smooth(90.0)
-    ball, rng = data.ball_m.copy(), np.random.default_rng(5)
+    ball, rng = data.z.copy(), np.random.default_rng(5)
     bad = rng.random(len(data)) < 0.02
     ball[bad] += 0.1 * rng.standard_normal((bad.sum(), 3))
-    spoilt = train(replace(data, ball_m=ball), RIDGE)
+    spoilt = train(replace(data, z=ball), RIDGE)
     assert 0.7 * bad.sum() <= spoilt.errors["outliers"] <= bad.sum() + 5
     assert any("left out" in note for note in spoilt.notes)
 
@@ -76,8 +76,8 @@ def test_data_that_cannot_teach_is_refused():
         train(probes(20), RIDGE)
     with pytest.raises(TrainingError, match="joints hardly move"):
         train(replace(data, joints_rad=np.zeros((n, 6))), RIDGE)
-    with pytest.raises(TrainingError, match="ball does not move"):
-        train(replace(data, ball_m=np.ones((n, 3))), RIDGE)
+    with pytest.raises(TrainingError, match="does not move"):
+        train(replace(data, z=np.ones((n, 3))), RIDGE)
     with pytest.raises(TrainingError, match="unknown training method"):
         TrainingOptions(method="magic")
 
@@ -87,7 +87,7 @@ def test_a_time_offset_of_the_images_is_found_and_corrected(late_s):
     data, rng = smooth(90.0), np.random.default_rng(0)
     t = data.stamps_s
     seen = np.stack([np.interp(t - late_s, t, joint) for joint in data.joints_rad.T], axis=1)
-    punctual, late = train(data, RIDGE), train(replace(data, ball_m=measured(rng, seen)), RIDGE)
+    punctual, late = train(data, RIDGE), train(replace(data, z=measured(rng, seen)), RIDGE)
     assert punctual.errors["time_offset_s"] == pytest.approx(0.0, abs=1e-3)
     assert late.errors["time_offset_s"] == pytest.approx(late_s, abs=1e-3)
     assert any("ms" in note for note in late.notes)
