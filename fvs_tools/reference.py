@@ -17,7 +17,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from fvs_controller_node.config import LAWS, SupervisorConfig
-from fvs_controller_node.reasons import Reason
+from fvs_controller_node.reasons import Reason, State, Stop
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros import stop, topics
 from fvs_ros.kinds import KINDS
@@ -50,7 +50,8 @@ def page() -> str:
             node: [nodes[node] for nodes in alike if list(nodes) == [node]] for node in topics.NODES
         },
         OWNERS=_owners(),
-        Reason=Reason,
+        REASONS=_reasons(),
+        STOPS={"NONE": "continues", "RAMP": "ramps to rest", "AT_ONCE": "zeros at once"},
         stop=stop,
     )
 
@@ -93,11 +94,22 @@ def _owners() -> dict[str, list[str]]:
     return owners
 
 
+def _reasons() -> dict[tuple[State, Stop, bool], list[str]]:
+    """The reasons of each state, stop, and need of a new start."""
+    groups = defaultdict(list)
+    for reason in Reason:
+        groups[reason.state, reason.stop, reason.needs_start].append(f"`{reason.name}`")
+    return groups
+
+
 def value(parameter: Parameter, live: bool) -> str:
     """Default and range of a parameter, and whether it is live."""
     default, low, high = parameter.default, parameter.minimum, parameter.maximum
     words = default if isinstance(default, str) else json.dumps(default)
-    parts = [f"`{words}`" if words else "empty", ", ".join(parameter.choices or ())]
+    parts = [
+        f"`{words}`" if words else "empty",
+        ", ".join(other for other in parameter.choices or () if other != default),
+    ]
     if low is not None:
         parts.append(f"at least {low:g}" if high is None else f"{low:g} to {high:g}")
     return "; ".join(filter(None, [*parts, "live" * live]))
