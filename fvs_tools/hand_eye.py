@@ -33,8 +33,8 @@ PRIOR = Unknowns(*np.array([1.0, 1.0, 0.1, 0.02, 0.02, 0.2, 0.05, 0.005, 0.01]))
 _LINK_SHARES, _OTHER_SHARES = 10.0 ** np.arange(0.0, -3.5, -0.5), 10.0 ** np.arange(0.0, -2.5, -0.5)
 #: Deviation of what counts as exact.
 _EXACT = 1e-6
-#: Delays of the images at which the search starts, s, and numbers of images in it.
-_STARTS_S, _FIRST, _SECOND = (-0.1, 0.0, 0.1), 100, 300
+#: Delays of the images at which the search may start, s, and number of images in it.
+_STARTS_S, _SEARCHED = (-0.1, 0.0, 0.1), 300
 #: Noise above which a residual counts less, and evaluations of the search.
 _ROBUST, _EVALUATIONS = 2.0, 50
 #: Linearisations.
@@ -134,9 +134,9 @@ def solve(data: DataSet, arm: Kinematics, prior: Unknowns = PRIOR) -> Estimate:
         Standard deviations of each part of the unknowns.
     """
     delays_s = (0.0,) if data.still else _STARTS_S
-    starts = [_start(data, arm, prior, delay_s) for delay_s in delays_s]
+    starts = [_start(data, arm, delay_s) for delay_s in delays_s]
     model, values, _ = min(starts, key=lambda start: start[2])
-    values = _optimum(model, prior, values, _SECOND)
+    values = _optimum(model, prior, values)
     unknowns = model.unknowns(values)
     model = HandEyeModel(data, arm, *model.poses(unknowns))
     values[: model.sizes[0] + model.sizes[1]] = 0.0
@@ -156,15 +156,14 @@ def solve(data: DataSet, arm: Kinematics, prior: Unknowns = PRIOR) -> Estimate:
 
 
 def _start(
-    data: DataSet, arm: Kinematics, prior: Unknowns, delay_s: float
+    data: DataSet, arm: Kinematics, delay_s: float
 ) -> tuple[HandEyeModel, np.ndarray, float]:
-    """Optimum from a delay of the images, s, for some of them, and their median residual, m."""
+    """Model and unknowns with a delay of the images, s, and their median residual, m."""
     path = Path(data)
     joints = path.joints_and_velocities(delay_s)[0]
     model = HandEyeModel(data, arm, *registration(arm, joints, data.z[path.indices]))
     values = np.zeros(sum(model.sizes))
     model.unknowns(values).delay_s[:] = delay_s
-    values = _optimum(model, prior, values, _FIRST)
     off_m = (model.features(values) - model.measured)[:, :3]
     return model, values, float(np.median(np.linalg.norm(off_m, axis=1)))
 
@@ -183,9 +182,9 @@ def _deviations(
     return deviation
 
 
-def _optimum(model: HandEyeModel, prior: Unknowns, start: np.ndarray, count: int) -> np.ndarray:
-    """Robust optimum with the URDF's links, for a number of images."""
-    images = np.unique(np.linspace(0, len(model.measured) - 1, count).astype(int))
+def _optimum(model: HandEyeModel, prior: Unknowns, start: np.ndarray) -> np.ndarray:
+    """Robust optimum with the URDF's links."""
+    images = np.unique(np.linspace(0, len(model.measured) - 1, _SEARCHED).astype(int))
     measured = model.measured[images]
     white = whitening(model.features(start, images) - measured, measured)
     deviation, links = _deviations(model, prior), np.zeros(model.sizes[-1])
