@@ -37,9 +37,9 @@ def follow(seed, lag_s, known_s, dt_s=0.008, gains=1.0, then=None, gaps=(1,)):
 
 
 @each("gaps", [(1,), (1, 1, 1, 2, 5, 12)])
-@each(("lag_s", "known_s"), [(0.008, 0.03), (0.04, 0.06), (0.15, 0.2)])
-def test_joints_that_lag_within_what_is_known_follow(gaps, lag_s, known_s):
-    assert follow(0, lag_s, known_s, gaps=gaps)[1] is None
+@each(("lag_s", "known_s", "gain"), [(0.008, 0.03, 1.0), (0.04, 0.06, 0.2), (0.15, 0.2, 1.0)])
+def test_joints_that_lag_within_what_is_known_or_are_slow_follow(gaps, lag_s, known_s, gain):
+    assert follow(0, lag_s, known_s, gains=gain, gaps=gaps)[1] is None
 
 
 def test_a_busy_computer_that_delays_commands_as_much_as_joint_states_stops_no_arm():
@@ -58,11 +58,6 @@ def test_a_busy_computer_that_delays_commands_as_much_as_joint_states_stops_no_a
         q = q + 0.008 * held
         busy.add(stamp_s + late_s, stamp_s, velocity, q, 0.04)
         assert busy.fault is None, stamp_s
-
-
-@each("gain", [0.2, 1.1])
-def test_joints_at_a_fifth_of_their_speed_or_somewhat_off_follow(gain):
-    assert follow(0, 0.04, 0.06, gains=gain)[1] is None
 
 
 @each("seed", range(2))

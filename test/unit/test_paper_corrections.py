@@ -62,9 +62,6 @@ def test_below_a_half_sigma_makes_the_command_of_16_grow_at_the_surface():
             ReachingLaw(sigma=sigma)
 
 
-# --- (22) as an inequality, (24)-(28) ---
-
-
 # --- (32) ---
 
 
@@ -183,10 +180,3 @@ def test_every_test_that_the_page_names_exists():
     for file, test in named:
         source = (ROOT / file).read_text(encoding="utf-8")
         assert re.search(rf"^def {test}\(", source, re.MULTILINE), f"{file} has no {test}"
-
-
-def test_the_page_names_every_test_of_this_file():
-    own = re.findall(r"^def (test_\w+)\(", Path(__file__).read_text("utf-8"), re.MULTILINE)
-    page = PAGE.read_text(encoding="utf-8")
-    missing = [name for name in own if name not in page and "page" not in name]
-    assert not missing

@@ -43,6 +43,9 @@ def test_a_chain_teaches_the_networks(tmp_path, capsys):
     places = recording.places()
     true = recording.chain().jacobian(places)
     assert np.median(relative_error(trained.chain.jacobian(places), true)) < 0.01
+    assert np.median(relative_error(trained.model.jacobian(places), true)) < 0.05
+    assert 0.0 < trained.errors["jacobian_deviation"] < 0.005
+    assert 0.0 < trained.errors["distillation_error"] < 0.05
     first = model.read_bytes()
     assert main([*arguments, "--quiet"]) == 0
     captured = capsys.readouterr()
