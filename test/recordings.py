@@ -7,6 +7,7 @@ import ur5_dh
 
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.chain import SerialChain
 from fvs_ros.joints import UR_JOINT_NAMES
 
@@ -48,6 +49,16 @@ def seen_from_anywhere(rng: np.random.Generator) -> SerialChain:
     ball = ur5_dh.axes_origins_ball(ur5_dh.HOME_RAD)[2]
     before = np.array([0.0, 0.0, 1.4]) + 0.2 * rng.normal(size=3)
     return ur5_chain(rotation=rotation, origin_m=ball - rotation.T @ before)
+
+
+def random_networks(neurons: int = 5) -> RbfModel:
+    """Networks for six joints and a ball that nobody trained."""
+    rng = np.random.default_rng(0)
+    return RbfModel(
+        rng.uniform(-1.0, 1.0, (6, neurons, 6)),
+        rng.uniform(1.0, 2.5, (6, neurons)),
+        rng.normal(size=(6, 3, neurons)),
+    )
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ from fvs_lab.trials import Conditions, simulation_of
 from fvs_tools.closed_loop import ClosedLoop
 
 EXACT = Conditions(rendered=False)
+#: Of a tag, with noise like that of images.
+EXACT_POSE = Conditions("pose", rendered=False, position_noise_m=3e-4)
 
 
 def loop_from(name, start_rad, simulation=None, seed=1, **values):
@@ -17,16 +19,16 @@ def loop_from(name, start_rad, simulation=None, seed=1, **values):
     return loop
 
 
-def ball_at(simulation, joints_rad):
+def feature_at(simulation, joints_rad):
     simulation.reset(joints_rad)
-    return simulation.true_ball_position()
+    return simulation.true_feature()
 
 
-def run(loop, target_m, seconds):
+def run(loop, target, seconds):
     """Commands, rad/s, and true errors, m, tick by tick."""
-    loop.set_target(target_m)
+    loop.set_target(target)
     commands, errors_m = [], []
     for _ in range(round(seconds / loop.period_s)):
         commands.append(loop.tick().velocity_rad_s)
-        errors_m.append(np.linalg.norm(loop.simulation.true_ball_position() - target_m))
+        errors_m.append(np.linalg.norm(loop.kind.minus(loop.true_feature, target)))
     return np.array(commands), np.array(errors_m)

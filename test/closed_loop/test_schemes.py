@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from cases import each
-from lock_step import EXACT, ball_at, loop_from, run
+from lock_step import EXACT, feature_at, loop_from, run
 
 from fvs_controller_node.reasons import State
 from fvs_estimator_node.files import load_model
@@ -60,7 +60,7 @@ def test_a_joint_brakes_before_its_end_behind_a_drive_that_lags():
             "joint_min_rad": np.where(up, -6.2, end).tolist(),
             "joint_max_rad": np.where(up, end, 6.2).tolist(),
         }
-        target_m = ball_at(simulation, goal)
+        target_m = feature_at(simulation, goal)
         simulation.reset(start, case.seed)
         loop = ClosedLoop(simulation, make_estimator("frozen", simulation), values)
         loop.run(0.4)
@@ -77,7 +77,7 @@ def test_a_joint_brakes_before_its_end_behind_a_drive_that_lags():
 def run_stamped_late(name, late_s):
     """A loop by images whose stamps are late, its errors, m, and its last command."""
     simulation = simulation_of(dataclasses.replace(EXACT, latency_s=0.1))
-    target_m = ball_at(simulation, HOME_RAD - 0.15)
+    target_m = feature_at(simulation, HOME_RAD - 0.15)
     advance = simulation.advance
 
     def stamped_late():
@@ -119,7 +119,7 @@ def test_the_noise_of_images_is_learned_and_not_thrown_back_at_the_arm(
     # The cases that went wrong once did so by chance: several, one after another.
     for seed in range(2):
         simulation = Simulation(config)
-        target_m = ball_at(simulation, HOME_RAD - 0.3)
+        target_m = feature_at(simulation, HOME_RAD - 0.3)
         simulation.position_noise = lambda rng: noise_m * rng.normal(size=3)
         loop = loop_from(name, HOME_RAD + 0.2, simulation, seed)
         loop.set_target(target_m)

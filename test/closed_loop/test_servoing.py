@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 from cases import each
-from lock_step import EXACT, ball_at, loop_from, run
+from lock_step import EXACT, EXACT_POSE, feature_at, loop_from, run
 
 from fvs_controller_node.reasons import Reason, State
 from fvs_lab.trials import HOME_RAD, make_cases, simulation_of
@@ -17,7 +17,7 @@ ALL = [*SCHEMES, *BEYOND]
 
 def servo(name, seconds=3.0, **values):
     """A loop after a way of 30 cm, its commands, rad/s, and errors, m."""
-    target_m = ball_at(simulation_of(EXACT), np.array(CASE.goal_rad))
+    target_m = feature_at(simulation_of(EXACT), np.array(CASE.goal_rad))
     loop = loop_from(name, np.array(CASE.start_rad), **values)
     return loop, *run(loop, target_m, seconds)
 
@@ -55,20 +55,22 @@ def test_from_30_cm_it_settles_within_the_limits_and_stays_exact_and_calm(name, 
 def test_any_rate_of_joint_states_will_do(rate_hz):
     rates = {"joint_state_rate_hz": rate_hz, "physics_rate_hz": 0}
     simulation = Simulation(dataclasses.replace(EXACT.sim_config(), **rates))
-    target_m = ball_at(simulation, np.array(CASE.goal_rad))
+    target_m = feature_at(simulation, np.array(CASE.goal_rad))
     values = {"joint_state_rate_hz": float(rate_hz)}
     loop = loop_from("proposed", np.array(CASE.start_rad), simulation, **values)
     _, errors_m = run(loop, target_m, 2.0)
     assert errors_m[round(1.5 / loop.period_s) :].max() < 0.005
 
 
-@each("name", ALL)
-def test_a_frozen_image_with_fresh_stamps_is_found_before_the_arm_goes_far(name):
-    loop, _, errors_m = servo(name, 0.2)
-    add_image, frozen_m = loop.loop.add_image, loop.ball_m
-    loop.loop.add_image = lambda now_s, stamp_s, _: add_image(now_s, stamp_s, frozen_m)
-    goal_m = ball_at(Simulation(EXACT.sim_config()), np.array(CASE.goal_rad))
-    commands, later_m = run(loop, goal_m, 0.6)
+@each(("name", "conditions"), [*((name, EXACT) for name in ALL), ("best", EXACT_POSE)])
+def test_a_frozen_image_with_fresh_stamps_is_found_before_the_arm_goes_far(name, conditions):
+    simulation = simulation_of(conditions)
+    target = feature_at(simulation, np.array(CASE.goal_rad))
+    loop = loop_from(name, np.array(CASE.start_rad), simulation)
+    _, errors_m = run(loop, target, 0.2)
+    add_image, frozen = loop.loop.add_image, loop.true_feature
+    loop.loop.add_image = lambda now_s, stamp_s, _: add_image(now_s, stamp_s, frozen)
+    commands, later_m = run(loop, target, 0.6)
     assert loop.loop.supervisor.last.reason is Reason.IMAGE_NOT_FOLLOWING
     assert not commands[-1].any()
     assert later_m.max() < 1.2 * errors_m[0]

@@ -61,12 +61,6 @@ def test_named_files_exist(path):
             assert (ROOT / name).exists(), name
 
 
-def test_constants_that_contributors_are_sent_to_exist():
-    others = "".join(map(page, [ROOT / "Makefile", *sorted((ROOT / "test").glob("*.py"))]))
-    for name in re.findall(r"`([A-Z][A-Z_]{3,})`", page(ROOT / "CONTRIBUTING.md")):
-        assert re.search(rf"\b{name}\b", source() + others), name
-
-
 @each_page
 def test_parameters_that_commands_set_exist(path):
     known = {one.name for entry in NODE_TABLE.values() for one in entry.parameters()}
@@ -78,13 +72,6 @@ def test_parameters_that_commands_set_exist(path):
 def test_experiments_that_commands_name_exist(path):
     for name in re.findall(r"(?:fvs_experiments |NAME=)(\w+)", page(path)):
         assert name in {*EXPERIMENTS, "all", "replay"}, name
-
-
-@each_page
-def test_a_status_is_shown_at_full_length(path):
-    """``ros2 topic echo`` cuts strings at 128 characters."""
-    commands = re.findall(r"ros2 topic echo (?:.*\\\n)?.*/status", page(path))
-    assert all("--full-length" in command for command in commands)
 
 
 def test_every_reason_is_explained():

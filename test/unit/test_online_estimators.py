@@ -7,10 +7,10 @@ import pytest
 from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recordings import random_networks
 
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.online import OnlineConfig, RlsEstimator
-from fvs_estimator_node.rbf import RbfModel
 from fvs_estimator_node.registry import (
     create_estimator,
 )
@@ -18,15 +18,6 @@ from fvs_estimator_node.registry import (
 ONLINE = ("lkf", "ukf", "rls")
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 ZERO = {"online.initial": "zero"}
-
-
-def random_model(seed=0, neurons=5):
-    rng = np.random.default_rng(seed)
-    return RbfModel(
-        rng.uniform(-1.0, 1.0, (6, neurons, 6)),
-        rng.uniform(1.0, 2.5, (6, neurons)),
-        rng.normal(size=(6, 3, neurons)),
-    )
 
 
 def random_steps(rng, count, jacobian=None, noise_m=0.0, joints=6):
@@ -92,7 +83,7 @@ def test_recursive_least_squares_are_the_batch_ones(forgetting):
     config = OnlineConfig(
         forgetting=forgetting, measurement_noise_m=2e-3, initial_deviation_m_rad=0.3
     )
-    model = random_model()
+    model = random_networks()
     estimator = RlsEstimator(model, config)
     steps = random_steps(np.random.default_rng(6), 40)
     learn(estimator, steps)
@@ -115,7 +106,7 @@ def test_recursive_least_squares_are_the_batch_ones(forgetting):
 def test_least_squares_do_not_wind_up_where_nothing_moves():
     rng = np.random.default_rng(10)
     true = rng.normal(size=(3, 6))
-    estimator = RlsEstimator(random_model(), OnlineConfig(forgetting=0.95))
+    estimator = RlsEstimator(random_networks(), OnlineConfig(forgetting=0.95))
     learn(estimator, random_steps(rng, 3000, true, noise_m=0.001, joints=2))
     variances = np.linalg.eigvalsh(estimator.covariance)
     assert math.sqrt(variances[-1]) == pytest.approx(0.1)
@@ -153,7 +144,7 @@ _STEPS = st.lists(
 @settings(deadline=None, max_examples=150)
 @given(steps=_STEPS, method=st.sampled_from([*ONLINE, "rbf"]))
 def test_no_sequence_of_steps_makes_a_jacobian_that_is_not_finite(method, steps):
-    estimator = create_estimator(method, random_model(), {})
+    estimator = create_estimator(method, random_networks(), {})
     for step in steps:
         estimator.update(step)
         assert np.all(np.isfinite(estimator.jacobian(HOME)))
@@ -168,7 +159,7 @@ def test_no_sequence_of_steps_makes_a_jacobian_that_is_not_finite(method, steps)
 @each("method", ONLINE)
 def test_it_starts_from_the_model_at_the_first_joints_and_reset_starts_again(method):
     rng = np.random.default_rng(13)
-    model = random_model()
+    model = random_networks()
     asked, told = (create_estimator(method, model, {}) for _ in range(2))
     first, later = HOME + 0.1, HOME - 0.2
     assert asked.problem == ""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import random_networks
 
 from fvs_controller_node.base import ControlInput
 from fvs_controller_node.proportional import ProportionalGains, ProportionalLaw
@@ -17,18 +18,12 @@ from fvs_estimator_node.rbf import RbfConfig, RbfEstimator, RbfModel
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "corrections.md"
-NEURONS = 5
 
 
-def weights_of(seed: int = 0) -> tuple[RbfModel, np.ndarray]:
+def weights_of() -> tuple[RbfModel, np.ndarray]:
     """Networks, and the true weights that theirs should have."""
-    rng = np.random.default_rng(seed)
-    model = RbfModel(
-        rng.uniform(-1.0, 1.0, (6, NEURONS, 6)),
-        rng.uniform(1.5, 2.5, (6, NEURONS)),
-        rng.normal(size=(6, 3, NEURONS)),
-    )
-    return model, model.weights + 0.3 * rng.normal(size=model.weights.shape)
+    model = random_networks()
+    return model, model.weights + 0.3 * np.random.default_rng(0).normal(size=model.weights.shape)
 
 
 # --- (16), (17) ---

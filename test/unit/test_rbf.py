@@ -3,20 +3,10 @@ import math
 import numpy as np
 import pytest
 from cases import each
+from recordings import random_networks
 
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.rbf import RbfConfig, RbfEstimator, RbfModel
-
-NEURONS = 7
-
-
-def random_model(seed=0, neurons=NEURONS):
-    rng = np.random.default_rng(seed)
-    return RbfModel(
-        rng.uniform(-1.0, 1.0, (6, neurons, 6)),
-        rng.uniform(1.0, 2.5, (6, neurons)),
-        rng.normal(size=(6, 3, neurons)),
-    )
 
 
 def random_step(rng, model=None, weights=None, sliding=False, dt_s=0.04):
@@ -39,7 +29,7 @@ def features_by_hand(model, r):
 
 
 def test_features_and_columns_are_equations_8_and_9():
-    model, r = random_model(), np.random.default_rng(1).uniform(-1.0, 1.0, 6)
+    model, r = random_networks(), np.random.default_rng(1).uniform(-1.0, 1.0, 6)
     theta = features_by_hand(model, r)
     np.testing.assert_allclose(model.features(r), theta, rtol=1e-12)
     columns = np.stack([model.weights[i] @ theta[i] for i in range(6)], axis=1)
@@ -49,7 +39,7 @@ def test_features_and_columns_are_equations_8_and_9():
 
 @each("target", ["offline", "zero"])
 def test_the_update_is_equation_17_by_hand(target):
-    model, rng = random_model(), np.random.default_rng(2)
+    model, rng = random_networks(), np.random.default_rng(2)
     config = RbfConfig(n1=0.4, alpha2=0.2, k3=0.05, leak_target=target, mu=1.9)
     estimator = RbfEstimator(model, config)
     for _ in range(3):
@@ -71,7 +61,7 @@ def test_the_update_is_equation_17_by_hand(target):
 
 
 def test_the_weight_error_never_grows_when_the_true_weights_exist():
-    model, rng = random_model(), np.random.default_rng(3)
+    model, rng = random_networks(), np.random.default_rng(3)
     true = model.weights + 0.3 * rng.normal(size=model.weights.shape)
     for n1 in (0.3, 3.0, 300.0):
         estimator = RbfEstimator(model, RbfConfig(n1=n1, alpha2=0.0))
@@ -85,7 +75,7 @@ def test_the_weight_error_never_grows_when_the_true_weights_exist():
 
 def test_the_lyapunov_function_gains_what_the_sliding_term_must_cancel():
     # d/dt tr(dW dW') / 2 = -(n1 |e|^2 + alpha2 s'e): with plus, as in the corrected law
-    model, rng = random_model(), np.random.default_rng(4)
+    model, rng = random_networks(), np.random.default_rng(4)
     true = model.weights + 0.3 * rng.normal(size=model.weights.shape)
     config, dt_s = RbfConfig(n1=0.5, alpha2=0.3), 1e-6
     step = random_step(rng, model, true, sliding=True)
@@ -102,7 +92,7 @@ def test_the_lyapunov_function_gains_what_the_sliding_term_must_cancel():
 
 
 def test_a_capped_step_corrects_the_share_mu_of_the_error():
-    model, rng = random_model(), np.random.default_rng(5)
+    model, rng = random_networks(), np.random.default_rng(5)
     estimator = RbfEstimator(model, RbfConfig(n1=1e6, alpha2=0.0, mu=0.5))
     step = random_step(rng)
     before = step.d_feature_m - estimator.jacobian(step.joints_rad) @ step.d_joints_rad

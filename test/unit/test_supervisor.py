@@ -404,26 +404,19 @@ def held_near_a_singularity(smallest: float = 0.02) -> Cell:
     return cell
 
 
-def test_a_new_start_leaves_a_singular_pose_slowly_and_then_goes_on():
+def test_a_new_start_leaves_a_singular_pose_slowly_not_nearer_to_it_and_for_ten_seconds():
     cell = held_near_a_singularity()
     assert "slowly" in cell.supervisor.start(cell.now_s)[1]
     assert cell.fastest() == pytest.approx(0.1, 1e-3)
-    cell.jacobian = singular(0.3)
-    assert cell.fastest() == pytest.approx(0.5)
-
-
-def test_the_permission_to_leave_ends_nearer_to_it_and_after_ten_seconds():
-    cell = held_near_a_singularity()
-    assert cell.start()
     ball(lambda t: 0.2 * math.exp(-0.2 * t))(cell)
-    assert cell.run(9.5).state is State.SERVOING
+    assert cell.run(9.0).state is State.SERVOING
     cell.until(Reason.NEAR_SINGULAR, 1.0)
     assert cell.start()
-    cell.jacobian = singular(0.016)
-    assert cell.run(0.2).state is State.SERVOING
     cell.jacobian = singular(0.012)
     cell.until(Reason.NEAR_SINGULAR)
     assert not cell.start()
+    cell.jacobian = singular(0.3)
+    assert cell.fastest() == pytest.approx(0.5)
     hopeless = held_near_a_singularity(0.002)
     assert "too singular to leave" in hopeless.supervisor.start(hopeless.now_s)[1]
     assert at_rest(hopeless.run(1.0))
