@@ -60,19 +60,22 @@ class Arm:
         self._velocity_rad_s = np.frombuffer(data[-48:])
 
     def step(self, now_s, dt_s):
+        """Move on and send; whether with an image."""
         stamp_s = self._clock.now().nanoseconds * 1e-9
         self._joints_rad = self._joints_rad + dt_s * self._velocity_rad_s
         if now_s - self._target_s > TARGET_PERIOD_S:
             self._target_s, self._side = now_s, -self._side
             target_m = self._home_m + self._side * OFFSET_M
             self._targets.publish(ros.to_point(stamp_s, CAMERA_FRAME, target_m))
-        if now_s - self._image_s > IMAGE_PERIOD_S:
+        with_image = now_s - self._image_s > IMAGE_PERIOD_S
+        if with_image:
             self._image_s = now_s
             self._balls.publish(ros.to_point(stamp_s, CAMERA_FRAME, self._ball_m()))
         message = ros.to_joint_state(
             stamp_s, UR_JOINT_NAMES, self._joints_rad, self._velocity_rad_s
         )
         self._joints.publish(message)
+        return with_image
 
 
 def play(executor, arm, period_s, seconds, until=lambda: False):

@@ -14,34 +14,30 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from harness import Harness
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from bench.arm_node import Arm
 from bench.timing import spread
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.kinds.ball import Ball
-from fvs_sim_node.camera import CAMERAS
-from fvs_sim_node.robot import HOME_JOINTS_RAD
-from fvs_sim_node.world import World
 
-PERIOD_S, IMAGE_EVERY, TARGET_EVERY = 0.008, 4, 100
+PERIOD_S = 0.008
 
 
 def rounds(harness, send, received):
-    """Send every period; the time to the first answer of each round that got one."""
+    """Send every period; what was sent and the time to the first answer of each round with one."""
     spent = []
     next_s = time.monotonic()
-    for k in range(800):
+    for _ in range(800):
         received.clear()
         begin = time.monotonic()
-        send(k)
+        sent = send()
         next_s = max(next_s + PERIOD_S, begin)
         while time.monotonic() < next_s:
             harness.executor.spin_once(timeout_sec=max(0.0, next_s - time.monotonic()))
         if received:
-            spent.append((k, received[0] - begin))
+            spent.append((sent, received[0] - begin))
     return spent
 
 
@@ -56,7 +52,7 @@ def bare_loop(folder):
         publisher = harness.publisher(Float64MultiArray, "bench_a")
         message = Float64MultiArray(data=[0.1] * 18)
         harness.spin_until(lambda: publisher.publish(message) or bool(received), what="the relays")
-        spent = rounds(harness, lambda k: publisher.publish(message), received)
+        spent = rounds(harness, lambda: publisher.publish(message), received)
         return spread([1e3 * t for _, t in spent], "ms")
 
 
@@ -66,41 +62,21 @@ def control_loop(folder):
         harness.start_node("fvs_estimator_node.node")
         harness.start_node("fvs_controller_node.node", autostart=True)
         received = []
-        velocity_rad_s = np.zeros(len(HOME_JOINTS_RAD))
-
-        def on_command(message):
-            received.append(time.monotonic())
-            velocity_rad_s[:] = message.data
-
-        harness.node.create_subscription(Float64MultiArray, topics.COMMANDS.name, on_command, 1)
-        joint_states = harness.publisher(JointState, topics.JOINT_STATES.name)
-        balls = harness.publisher(PointStamped, Ball.topics.tool.name)
-        targets = harness.publisher(PointStamped, Ball.topics.target.name, ros.QOS_LATCHED)
+        harness.node.create_subscription(
+            Float64MultiArray, topics.COMMANDS.name, lambda _m: received.append(time.monotonic()), 1
+        )
         statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
-        joints_rad = np.array(HOME_JOINTS_RAD)
-        camera, ball_position = CAMERAS["front"], World().chain.position
-        home = camera.to_camera(ball_position(joints_rad))
+        arm = Arm(harness.node, "")
 
-        def send(k):
-            """Be an arm that moves as told, and never arrives for long."""
-            now_s = harness.node.get_clock().now().nanoseconds * 1e-9
-            joints_rad[:] += PERIOD_S * velocity_rad_s
-            if k % TARGET_EVERY == 0:
-                side = 0.1 if k % (2 * TARGET_EVERY) else -0.1
-                targets.publish(ros.to_point(now_s, CAMERA_FRAME, home + (side, 0.0, 0.5 * side)))
-            if k % IMAGE_EVERY == 0:
-                seen = camera.to_camera(ball_position(joints_rad))
-                balls.publish(ros.to_point(now_s, CAMERA_FRAME, seen))
-            joint_states.publish(
-                ros.to_joint_state(now_s, UR_JOINT_NAMES, joints_rad, velocity_rad_s)
-            )
+        def send():
+            return arm.step(time.monotonic(), PERIOD_S)
 
         rounds(harness, send, received)
         state = ros.from_status(statuses[-1]).get("state")
         if state != "SERVOING":
             raise RuntimeError(f"the controller is {state}: {statuses[-1].message}")
         spent = rounds(harness, send, received)
-        images = [1e3 * t for k, t in spent if k % IMAGE_EVERY == 0]
+        images = [1e3 * t for with_image, t in spent if with_image]
         return spread([1e3 * t for _, t in spent], "ms"), spread(images, "ms")
 
 

@@ -45,7 +45,7 @@ class Outcome:
     failure: str
     #: The target, camera frame, m; after a bump, in the frame of the moved camera.
     target_m: tuple[float, ...]
-    #: ``time_s`` (n,), ``ball_m`` and ``exponent`` (n, m), ``error_m`` (n,), ``command_rad_s``
+    #: ``time_s`` (n,), ``feature_m`` and ``exponent`` (n, m), ``error_m`` (n,), ``command_rad_s``
     #: (n, joints); empty unless recorded.
     series: dict[str, np.ndarray] = field(default_factory=dict)
 
@@ -85,7 +85,7 @@ def outcome_of(
         unknown = np.full_like(known, np.nan)
         series = {
             "time_s": times_s,
-            "ball_m": features_m,
+            "feature_m": features_m,
             "error_m": errors_m,
             "command_rad_s": speeds,
             "exponent": np.array(

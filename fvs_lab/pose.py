@@ -70,7 +70,9 @@ def rest(outcome: Outcome) -> dict[str, float]:
     """Final errors of position, m, and angle, degrees, rms over the last second."""
     kind, series, target_m = Pose(), outcome.series, np.array(outcome.target_m)
     last = series["time_s"] > series["time_s"][-1] - FINAL_S
-    parts = kind.parts_m(np.array([kind.minus(pose, target_m) for pose in series["ball_m"][last]]))
+    parts = kind.parts_m(
+        np.array([kind.minus(pose, target_m) for pose in series["feature_m"][last]])
+    )
     position_m, arc_m = (float(np.sqrt(np.mean(part**2))) for part in parts.values())
     return {"rest_m": position_m, "rest_deg": float(np.degrees(arc_m / kind.lever_arm_m))}
 

@@ -100,7 +100,7 @@ def _errors(runs: Results):
         draw.errors_over_time(top, group, "scheme", looks)
         top.set(title=case, xlim=(0.0, 4.0))
         for number, axis in enumerate(lower):
-            coordinate = partial(lambda n, row: 1e3 * row["series"]["ball_m"][:, n], number)
+            coordinate = partial(lambda n, row: 1e3 * row["series"]["feature_m"][:, n], number)
             draw.over_time(axis, group, coordinate, "scheme", looks)
             axis.axhline(1e3 * group.rows[0]["target_m"][number], color="0.3", linestyle="--")
             axis.set(xlabel="time, s", ylabel=f"ball {'xyz'[number]}, mm")
@@ -119,7 +119,7 @@ def _views(runs: Results):
         simulation.reset(case.goal_rad)
         image = photo(simulation)
         trails = [
-            simulation.intrinsics.project(run["series"]["ball_m"][:: round(0.1 / 0.008)])
+            simulation.intrinsics.project(run["series"]["feature_m"][:: round(0.1 / 0.008)])
             for run in group
         ]
         points = np.concatenate(trails)
@@ -143,7 +143,7 @@ def _paths(runs: Results):
     figure, (axes,) = draw.grid(1, len(cases), (13, 3.5), subplot_kw={"projection": "3d"})
     for axis, (case, group) in zip(axes, cases.items(), strict=True):
         for run in group:
-            x, y, z = run["series"]["ball_m"].T
+            x, y, z = run["series"]["feature_m"].T
             axis.plot(x, z, -y, **_look(run))
         axis.plot([x[0]], [z[0]], [-y[0]], "o", color="0.3", markersize=6)
         x, y, z = run["target_m"]

@@ -80,7 +80,7 @@ def promised(row: Mapping[str, Any]) -> dict[str, Any]:
     law = make_law(default_values(law="ftsm", alpha1=1.0, **GAINS[row["gains"]]))
     assert isinstance(law, FtsmLaw)
     surface, reaching_law = law.gains.surface, law.gains.reaching
-    error_m = row["series"]["ball_m"][0] - np.array(row["target_m"])
+    error_m = row["series"]["feature_m"][0] - np.array(row["target_m"])
     reaching = [reaching_time_s(surface.value(y, 0.0), reaching_law) for y in error_m]
     printed = [printed_sliding_time_s(y, surface) for y in error_m.tolist()]
     bound_s = law.settling_bound_s(error_m)

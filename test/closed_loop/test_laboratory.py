@@ -154,7 +154,7 @@ def test_a_turn_counts_by_its_arc_as_in_the_controller():
     (trial,) = crossed([best], make_cases("t", 1, 5, conditions=exact))
     outcome = run_trial(trial)
     feature = Pose()
-    start_m, target_m = outcome.series["ball_m"][0], np.array(outcome.target_m)
+    start_m, target_m = outcome.series["feature_m"][0], np.array(outcome.target_m)
     arc_m = np.linalg.norm(feature.minus(start_m, target_m))
     assert outcome.start_distance_m == pytest.approx(arc_m, rel=1e-12)
     assert arc_m > 1.001 * np.linalg.norm(feature.weights * (start_m - target_m))
