@@ -79,8 +79,8 @@ class ControlLaw(ABC):
         From feature velocity to joint velocities.
     """
 
-    #: Whether it plans the joints' path itself: from a chain where there is one, at least joint
-    #: speeds whatever ``redundancy_resolution`` is, and braking in time for the target.
+    #: Whether the law brakes for the target itself. It then uses a chain where there is one, and
+    #: always the least joint speeds, whatever ``redundancy_resolution`` is.
     plans: ClassVar[bool] = False
 
     #: Parameters that this law adds to the node's.

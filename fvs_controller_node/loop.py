@@ -18,7 +18,7 @@ from fvs_controller_node.drive_lag import DriveLag, brake
 from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES
 from fvs_controller_node.reasons import Finding, State
 from fvs_controller_node.redundancy import make_inverse
-from fvs_controller_node.supervisor import Command, Present, Supervisor, answer
+from fvs_controller_node.supervisor import Command, Present, Supervisor, checked_output
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
 from fvs_ros.filter import Image
@@ -233,7 +233,9 @@ class ServoLoop:
         last = self.supervisor.velocity_rad_s
         if dt_s <= 0.0:  # it repeats the last command
             return None, ControlOutput.plain(last, self.kind.size)
-        finding, output = answer(lambda: self._propose(present, last, dt_s), last, self.kind.size)
+        finding, output = checked_output(
+            lambda: self._propose(present, last, dt_s), last, self.kind.size
+        )
         if output is not None and self._new_image:
             self.sliding_variable = output.sliding_variable
         self._change, self._new_image = Change.NOTHING, False

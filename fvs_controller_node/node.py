@@ -82,10 +82,10 @@ class ControllerNode(ros.FvsNode):
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         description = self._loop.supervisor.inputs[ROBOT_DESCRIPTION]
         self._limits = ros.LimitsReader(self, self._take_limits, description.bad)
-        self.create_service(Trigger, "~/start", self._answer(self._start))
-        self.create_service(Trigger, "~/stop", self._answer(self._loop.supervisor.stop))
+        self.create_service(Trigger, "~/start", self._as_service(self._start))
+        self.create_service(Trigger, "~/stop", self._as_service(self._loop.supervisor.stop))
         self.create_service(
-            Trigger, "~/set_current_as_target", self._answer(self._take_current_as_target)
+            Trigger, "~/set_current_as_target", self._as_service(self._take_current_as_target)
         )
         self._ticker = ros.Ticker(self, self._tick, v["joint_state_rate_hz"])
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
@@ -186,7 +186,7 @@ class ControllerNode(ros.FvsNode):
         started, text = self._loop.supervisor.start(self.now_s())
         return started, f"{text}; {self._silence}" if self._silence else text
 
-    def _answer(self, action):
+    def _as_service(self, action):
         def on_request(_request: Trigger.Request, response: Trigger.Response):
             response.success, response.message = action()
             self.get_logger().info(response.message)

@@ -82,7 +82,8 @@ class Reason(Enum):
         "check that its controller is active, the robot program runs and no protective stop is on",
     )
     IMAGE_NOT_FOLLOWING = _ends(
-        "frozen image: {predicted_mm:.0f} mm predicted in {time_s:.1f} s, {seen_mm:.0f} mm seen",
+        "the image does not follow the arm: {predicted_mm:.0f} mm predicted in {time_s:.1f} s, "
+        "{seen_mm:.0f} mm measured",
         "check camera, detector and stamp_delay_s",
     )
     CONFLICT = _ends("{name} commands the arm as well", "stop it")

@@ -164,9 +164,9 @@ class Supervisor:
     # ---- the tick -------------------------------------------------------------------------
 
     def permit(self, now_s: float, dt_s: float, present: Present) -> Finding | None:
-        """Find what forbids motion in this tick: steady clock, what it counts for, s; data.
+        """Return why the arm must not move in this tick, or None if the law is to move it.
 
-        None if the law is to move the arm.
+        ``now_s`` is the steady clock, ``dt_s`` what the tick counts for.
         """
         before, self._present = self._present, present
         jacobian = present.jacobian
@@ -187,7 +187,7 @@ class Supervisor:
 
         Without an output, ``finding`` says why there is none.
         """
-        finding, joints_rad = self._held(finding, now_s), self._present.joints_rad
+        finding, joints_rad = self._end_long_hold(finding, now_s), self._present.joints_rad
         if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
         self._singularity.leaving = False  # the permission is for one exit only
@@ -228,7 +228,7 @@ class Supervisor:
         name, unit = config.joint_names[joint], config.length_unit(joint)
         return Reason.NOT_FOLLOWING.because(joint=name, unit=unit, commanded=commanded, moved=moved)
 
-    def _held(self, finding: Finding | None, now_s: float) -> Finding | None:
+    def _end_long_hold(self, finding: Finding | None, now_s: float) -> Finding | None:
         """A hold that lasts too long requires a new start."""
         if finding is None or not self.started:
             self._held_since_s = None
@@ -258,7 +258,7 @@ class Supervisor:
         error = self.goal.error_m
         assert error is not None
         finding = reason.because(error=ErrorText(config.kind, error))
-        return self._answer(finding, ", ".join(active), output)
+        return self._command(finding, ", ".join(active), output)
 
     def _rest(self, finding: Finding | None, joints: np.ndarray | None, dt_s: float) -> Command:
         """Bring the arm to rest, and say why."""
@@ -270,11 +270,13 @@ class Supervisor:
         at_once = finding.reason.stop is Stop.AT_ONCE and not self.config.max_joint_jerk_rad_s3
         if at_once or not self._limiter.velocity_rad_s.any():
             self._limiter.stop()
-            return self._answer(finding, "", None)
+            return self._command(finding, "", None)
         self._limiter.rest(joints, dt_s, self._present.pending_rad)
-        return self._answer(finding, "acceleration", None)
+        return self._command(finding, "acceleration", None)
 
-    def _answer(self, finding: Finding, active_limit: str, output: ControlOutput | None) -> Command:
+    def _command(
+        self, finding: Finding, active_limit: str, output: ControlOutput | None
+    ) -> Command:
         reason = finding.reason
         asked = self.started or self._ended is not None or reason is Reason.READY
         state = reason.state if asked else State.WAITING
@@ -310,7 +312,7 @@ class Supervisor:
         return values
 
 
-def answer(
+def checked_output(
     propose: Callable[[], ControlOutput], velocity_rad_s: np.ndarray, size: int
 ) -> tuple[Finding | None, ControlOutput | None]:
     """The output of a law for as many joints as velocities, (n,), and errors of a size, d.

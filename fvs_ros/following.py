@@ -37,9 +37,8 @@ class TrackingFault(NamedTuple):
 class Following:
     """Compares the commanded path with the joint states, by their stamps.
 
-    A joint lags by anything between nothing and a largest lag: what it has done of its path lies
-    between the path now and that of a lag ago. What was asked of it since a comparison began is at
-    least how far both lie beyond both of then.
+    With a lag of at most ``lag``, a joint is between ``path(t - lag)`` and ``path(t)``. Since a
+    comparison began it was asked to move at least the gap between that interval then and now.
     """
 
     def __init__(self) -> None:

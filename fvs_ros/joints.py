@@ -24,9 +24,9 @@ UR_JOINT_NAMES = (
 #: A UR turns each joint by so much to either side, rad, the elbow less; kinematic order.
 UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
 
-#: After a silence in which any step is possible, a joint so near to where it was, but for full
-#: turns, was wrapped, rad: an arm is held meanwhile, and would else go back by a turn. In a longer
-#: silence, s, it may truly have been turned, and a slide moved as far by hand.
+#: After a gap in the joint states, a joint within this distance, rad, of its last position but for
+#: full turns was wrapped by the driver: the arm was held, and would otherwise go back by a turn.
+#: After a longer gap, s, somebody may have turned it.
 _HELD_RAD, _SILENCE_S = 0.25, 20.0
 
 #: Fastest joint, rad/s.

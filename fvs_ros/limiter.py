@@ -82,7 +82,7 @@ class CommandLimiter:
         velocity = self._step_to(allowed, dt_s)
         if velocity is not allowed and (velocity != allowed).any():
             active.append("acceleration")
-        self._take(self._held(velocity, joints_rad, pending_rad), dt_s)
+        self._take(self._clip_to_range(velocity, joints_rad, pending_rad), dt_s)
         return active
 
     def rest(
@@ -104,7 +104,7 @@ class CommandLimiter:
                 velocity, _ = self.slow_down(velocity, joints_rad, acceleration, dt_s, pending_rad)
                 velocity = np.clip(velocity, last - step, last + step)
         if joints_rad is not None:
-            velocity = self._held(velocity, joints_rad, pending_rad)
+            velocity = self._clip_to_range(velocity, joints_rad, pending_rad)
         self._take(velocity, dt_s)
         return self.velocity_rad_s
 
@@ -150,7 +150,7 @@ class CommandLimiter:
                 slowed.append(i)
         return (np.array(values), slowed) if slowed else (velocity, slowed)
 
-    def _held(
+    def _clip_to_range(
         self, velocity: np.ndarray, joints_rad: np.ndarray, pending_rad: np.ndarray
     ) -> np.ndarray:
         """The command that, held, keeps joints in their ranges; beyond, a joint may come back."""

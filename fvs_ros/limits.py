@@ -1,10 +1,9 @@
 """Limits on a joint velocity command of n numbers, rad/s.
 
-Joints differ in how fast they may be. A joint's *share* is its own velocity limit over that of the
-whole arm, at most 1, and at most half its range: a slide of 0.2 m moves at a tenth of the arm's
-speed. Its acceleration limit and its margin are that share of the arm's, so that in units of their
-shares all joints are alike: what is limited is the largest ``|v_i| / share_i``. For a prismatic
-joint read m for rad.
+A joint's *share* is its velocity limit over the arm's, at most 1 and at most half its range (rad
+or m): a slide of 0.2 m moves at a tenth of the arm's speed. Its acceleration limit and its margin
+are the same share of the arm's. So the largest ``|v_i| / share_i`` is what is limited. For a
+prismatic joint read m for rad.
 """
 
 from __future__ import annotations
@@ -174,7 +173,7 @@ class JointLimits(ArmJoints):
 
     @cached_property
     def unit(self) -> np.ndarray:
-        """What counts for 1 rad: of each joint, 1, or half its range if that is less, (n,)."""
+        """What is treated as 1 rad: 1, or half the range of a shorter joint, (n,)."""
         return np.minimum(1.0, 0.5 * (self.upper_rad - self.lower_rad))
 
     @cached_property

@@ -12,7 +12,7 @@ from fvs_controller_node.agreement import Verdict
 from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.reasons import Reason, State
-from fvs_controller_node.supervisor import Command, Present, Supervisor, answer
+from fvs_controller_node.supervisor import Command, Present, Supervisor, checked_output
 from fvs_ros.following import Following
 
 DT_S, LAG_S = 0.008, 0.03
@@ -82,7 +82,7 @@ class Cell:
         )
         finding, output = supervisor.permit(now_s, DT_S, present), None
         if finding is None:
-            finding, output = answer(self.propose, before, 3)
+            finding, output = checked_output(self.propose, before, 3)
         command = supervisor.release(now_s, DT_S, finding, output)
         self.commands.append(command)
         self.joints = self.joints + self.follows * DT_S * command.velocity_rad_s
@@ -216,8 +216,11 @@ ROWS = {
         Reason.CONFLICT,
         "/another_node commands the arm as well",
     ),
-    "frozen image": Row(
-        changed(verdict=FROZEN), AT_ONCE, Reason.IMAGE_NOT_FOLLOWING, "frozen image: 13 mm"
+    "an image that does not follow": Row(
+        changed(verdict=FROZEN),
+        AT_ONCE,
+        Reason.IMAGE_NOT_FOLLOWING,
+        "the image does not follow the arm: 13 mm",
     ),
     "wrong jacobian": Row(changed(verdict=WRONG), (0.1, 0.6), Reason.PREDICTION_ERROR, "1.50"),
     # Half as much again takes 0.67 s, being seen for 1 s comes on top.
