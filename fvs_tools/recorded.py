@@ -86,11 +86,11 @@ def read_photograph(path: Path, frame: str) -> Photograph | None:
     return None
 
 
-def _topic(types: dict[str, str], given: str, kinds: Sequence[str], names: Sequence[str]) -> str:
+def _topic(types: dict[str, str], wanted: str, kinds: Sequence[str], names: Sequence[str]) -> str:
     """The topic that is meant."""
     fit = sorted(name for name, kind in types.items() if kind in kinds)
-    if given:
-        fit = [name for name in fit if name.strip("/") == given.strip("/")]
+    if wanted:
+        fit = [name for name in fit if name.strip("/") == wanted.strip("/")]
     elif len(fit) > 1:
         fit = [name for name in fit if name.rsplit("/", 1)[-1] in names] or fit
     if len(fit) == 1:
@@ -98,7 +98,7 @@ def _topic(types: dict[str, str], given: str, kinds: Sequence[str], names: Seque
     what = " or ".join(kind.rsplit("/", 1)[-1] for kind in kinds)
     known = ", ".join(f"{name} ({kind.rsplit('/', 1)[-1]})" for name, kind in sorted(types.items()))
     raise ValueError(
-        f"the bag has {len(fit)} topics of {what}{' called ' + given[:60] if given else ''}, "
+        f"the bag has {len(fit)} topics of {what}{' called ' + wanted[:60] if wanted else ''}, "
         f"expected one: name it by --joint-states or --seen; there are {known[:600]}"
     )
 

@@ -200,11 +200,14 @@ def params_yaml(parameters: Scenario) -> str:
 
 def scenario_names() -> dict[str, str]:
     """The project's own scenarios, each with the first sentence of its file."""
-    found: dict[str, str] = {}
-    for path in sorted(path for share in share_folders() for path in share.glob("config/*.yaml")):
+    sentences: dict[str, str] = {}
+    paths = (path for folder in share_folders() for path in folder.glob("config/*.yaml"))
+    for path in sorted(paths):
         words = path.read_text(encoding="utf-8").partition("\n\n")[0].replace("\n#", "")
-        found.setdefault(path.stem, words.removeprefix("# ").partition(". ")[0].rstrip(".") + ".")
-    return found
+        sentences.setdefault(
+            path.stem, words.removeprefix("# ").partition(". ")[0].rstrip(".") + "."
+        )
+    return sentences
 
 
 # --- YAML from untrusted files: no aliases, nothing oversized ---

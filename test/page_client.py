@@ -82,7 +82,7 @@ class PageClient:
 
     def labels(self) -> list[str]:
         """All labels."""
-        return [one["label"] for one in list(self.elements.values()) if one.get("label")]
+        return [each["label"] for each in list(self.elements.values()) if each.get("label")]
 
     def value(self, label: str) -> Any:
         """The value of the element with a label."""
@@ -90,7 +90,7 @@ class PageClient:
 
     def text(self) -> str:
         """All that stands on the panel as HTML."""
-        return "\n".join(one.get("content", "") for one in list(self.elements.values()))
+        return "\n".join(each.get("content", "") for each in list(self.elements.values()))
 
     # --- what is done ---
 

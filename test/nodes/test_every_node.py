@@ -283,7 +283,7 @@ def assert_lists_and_describes_parameters(node):
         if parameter.is_list or parameter.kind not in (int, float):
             continue
         ranges = descriptor.integer_range or descriptor.floating_point_range
-        ends = [end for one in ranges for end in (one.from_value, one.to_value)]
+        ends = [end for each in ranges for end in (each.from_value, each.to_value)]
         declared = [parameter.minimum, parameter.maximum]
         assert bool(ends) is (declared != [None, None]), name
         assert all(d is None or e == d for e, d in zip(ends, declared, strict=False)), name
@@ -326,7 +326,7 @@ def assert_refuses_large_requests(node):
     first = next(iter(node.declared))
     value = RosParameter(first, value=node.values[first]).get_parameter_value()
     for names in ([first] * 1000, ["x" * 10**6]):
-        many = [ParameterMessage(name=one, value=value) for one in names]
+        many = [ParameterMessage(name=name, value=value) for name in names]
         for result in (*node.ask(*many), node.ask_at_once(*many)):
             assert_refused(result, "too large")
             assert len(result.reason) < 200
