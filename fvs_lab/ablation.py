@@ -57,14 +57,14 @@ def variants() -> Iterator[trials.Trial]:
         yield change(blind, name, conditions=late, predicts=False)
         yield change(f"{blind}, softer gains", name, conditions=late, predicts=False,
                   controller=softer)  # fmt: skip
-    turned = {"camera_rotation_deg": (0.0, 20.0, 0.0)}
+    turned = {"camera_carried_deg": (0.0, 20.0, 0.0)}
     yield change(TURNED, conditions=turned)
     yield change(f"20°, {FROZEN}", TURNED, method="frozen", conditions=turned)
 
 
 def measure(context: lab.Context) -> Results:
     """Run every change."""
-    cases = trials.make_cases("a", context.count(8), 303)
+    cases = trials.make_cases("a", context.count(16), 303)
     return context.run(trials.crossed(variants(), cases), "ablation")
 
 

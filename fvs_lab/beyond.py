@@ -105,7 +105,7 @@ def bumped(count: int) -> Iterator[Trial]:
         if not sees_all(EXACT, (*ends, ends.mean(axis=0)), bump):
             continue
         drawn += 1
-        for (moment, time_s), name in product(MOMENTS.items(), ("best", "extended", "proposed")):
+        for (moment, time_s), name in product(MOMENTS.items(), ("best", "extended")):
             blow = None if time_s == math.inf else replace(bump, time_s=time_s)
             still = variant(name, part="camera", moment=moment)
             yield from crossed([still.changed(duration_s=3.5, bump=blow)], cases)

@@ -183,7 +183,7 @@ def judge_all(job: tuple[str, Conditions, int, float]) -> list[dict[str, Any]]:
     """Make a recording (world, conditions, seed, length in s), and judge all on it."""
     world, conditions, seed, duration_s = job
     axis = np.random.default_rng([seed, 2]).normal(size=3)
-    conditions = replace(conditions, camera_rotation_deg=along(axis, WORLDS[world]))
+    conditions = replace(conditions, camera_carried_deg=along(axis, WORLDS[world]))
     if world == SILENT:
         conditions = replace(conditions, position_noise_m=0.0, depth_noise=0.0)
     recording = record(seed, conditions, duration_s)

@@ -61,13 +61,13 @@ class Worlds:
             seed = int(rng.integers(2**31))
             plain = Conditions(self.feature)
             case = make_cases(f"R{number}-", 1, seed, *self.distance_m, plain)[0]
-            vectors = ("camera_rotation_deg", "bump_rotation_deg", "bump_shift_m")
+            vectors = ("camera_carried_deg", "bump_rotation_deg", "bump_shift_m")
             rotation_deg, *blow = (along(rng.normal(size=3), amount[name]) for name in vectors)
             bump = Bump(amount["bump_time_s"], *blow) if bumped else None
-            turned = Conditions(self.feature, camera_rotation_deg=rotation_deg)
+            turned = Conditions(self.feature, camera_carried_deg=rotation_deg)
             if sees_all(turned, (case.start_rad, case.goal_rad), bump):
                 # Images would change little, and take three times as long.
-                changes |= {"camera_rotation_deg": rotation_deg, "rendered": False}
+                changes |= {"camera_carried_deg": rotation_deg, "rendered": False}
                 world = replace(turned, **changes)
                 labels = {"world": number, "case": case.name}
                 return Trial(
@@ -84,7 +84,7 @@ HARSH = Worlds(
     "robustness",
     304,
     {
-        "camera_rotation_deg": (0.0, 30.0),
+        "camera_carried_deg": (0.0, 30.0),
         "bump_rotation_deg": (0.0, 10.0),
         "bump_shift_m": (0.0, 0.1),
         "bump_time_s": (0.3, 2.0),

@@ -95,7 +95,7 @@ class Conditions:
     physics_rate_hz: float = 500.0
     #: Rotation vector, camera frame, degrees, by which the camera has been carried round the scene
     #: since the networks were trained; it still looks at the scene.
-    camera_rotation_deg: Vector = (0.0, 0.0, 0.0)
+    camera_carried_deg: Vector = (0.0, 0.0, 0.0)
     #: From the middle of the scene, m; 0 for that of the front camera.
     camera_distance_m: float = 0.0
     #: The tag, or the body of tags, where the feature is a pose.
@@ -108,7 +108,7 @@ class Conditions:
             **{name: getattr(self, name) for name in alike},
             speed_scaling_percent=100.0 * self.drive_gain,
             camera_pose=_carried_camera(
-                np.radians(self.camera_rotation_deg), self.camera_distance_m
+                np.radians(self.camera_carried_deg), self.camera_distance_m
             ),
         )
 

@@ -32,7 +32,7 @@ def variant(knob: str, value: float) -> Trial:
     """A value of a knob, and of what goes with it."""
     trial = Trial(record=True).changed({"parameter": knob, "value": value})
     if knob == "rbf.n1":
-        turned = {"camera_rotation_deg": (45.0, 0.0, 0.0)}
+        turned = {"camera_carried_deg": (45.0, 0.0, 0.0)}
         return trial.changed(estimator={knob: value}, conditions=turned)
     goes_with = {
         "max_joint_velocity_rad_s": {"max_joint_acceleration_rad_s2": 6.0 * value},

@@ -81,6 +81,14 @@ def test_a_heavy_tails_worst_image_does_not_throw_an_arm_at_rest_off_its_target(
     assert not outcome.failure
 
 
+def test_a_camera_is_carried_round_by_its_angle():
+    cameras = [
+        simulation_of(replace(EXACT, camera_carried_deg=(0.0, angle, 0.0))).camera.rotation
+        for angle in (0.0, 20.0)
+    ]
+    assert np.trace(cameras[0].T @ cameras[1]) == pytest.approx(1.0 + 2.0 * np.cos(np.radians(20)))
+
+
 # ---- random worlds --------------------------------------------------------------------------
 
 
@@ -91,7 +99,7 @@ def test_worlds_are_functions_of_their_number_and_keep_their_ranges():
     for world in worlds:
         for name, (low, high) in HARSH.ranges.items():
             value = getattr(world.conditions, name, None)
-            value = np.linalg.norm(value) if name == "camera_rotation_deg" else value
+            value = np.linalg.norm(value) if name == "camera_carried_deg" else value
             assert value is None or low <= value <= high or value == 2.0, name
     usual = EVERYDAY.draw(1)
     assert (usual.bump, usual.conditions.noise_exponent) == (None, 2.0)
