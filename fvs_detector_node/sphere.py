@@ -42,8 +42,6 @@ class Acceptance:
     #: Tolerance of outline points on a circle, as a share of its radius; at least 1.2 pixels.
     circle: float = 0.05
     circle_px: float = 1.2
-    #: Share of the outline on the first circle below which other circles are tried.
-    sure_outline: float = 0.85
     #: Depths further off than this count of standard deviations are not the ball's.
     deviations: float = 3.0
 
@@ -102,7 +100,7 @@ def fit_sphere(
         # An edge against a nearer object is not the sphere's outline.
         free = outline[outside_m >= distance_m * direction[2] - 0.5 * radius_m]
         direction, on_outline, arc = _fit_direction(
-            free, direction, distance_m, radius_m, pixel_rad=pixel_rad, search=iteration == 0
+            free, direction, distance_m, radius_m, pixel_rad
         )
         surface = _distances(own, range_m, direction, radius_m)
         if surface is None:
@@ -155,9 +153,7 @@ def _fit_direction(
     direction: np.ndarray,
     distance_m: float,
     radius_m: float,
-    *,
     pixel_rad: float,
-    search: bool,
 ) -> tuple[np.ndarray, float, float]:
     """Axis of the cone of known opening through an outline, and the shares of both that match."""
     if len(rays) < 6:
@@ -170,13 +166,11 @@ def _fit_direction(
     radius = radius_m / np.sqrt(distance_m**2 - radius_m**2)
     tolerance = max(ACCEPT.circle_px * pixel_rad, ACCEPT.circle * radius)
 
-    centre = _refine_circle(points, radius, np.zeros(2), 2.5 * tolerance)
+    centre = np.zeros(2)
+    # Of a ball that is partly hidden the first guess is off by up to half a radius.
+    for cut in (radius, 0.3 * radius, 2.5 * tolerance):
+        centre = _refine_circle(points, radius, centre, cut)
     errors = np.abs(_lengths(points, centre) - radius)
-    if search and np.count_nonzero(errors < tolerance) < ACCEPT.sure_outline * len(errors):
-        start = _search_circle(points, radius, tolerance)
-        if start is not None:
-            centre = _refine_circle(points, radius, start, 1.5 * tolerance)
-            errors = np.abs(_lengths(points, centre) - radius)
     on = int(np.count_nonzero(errors < tolerance))
     # A circle of radius n pixels crosses from pixel to pixel 8 n times.
     return unit(direction + centre @ axes), on / len(errors), on * pixel_rad / (8.0 * radius)
@@ -210,24 +204,6 @@ def _refine_circle(points: np.ndarray, radius: float, start: np.ndarray, cut: fl
         if max(abs(step_x), abs(step_y)) < 5e-3 * cut:
             break
     return np.array([x, y])
-
-
-def _search_circle(points: np.ndarray, radius: float, tolerance: float) -> np.ndarray | None:
-    """Centre with the most points on the circle, over pairs of points."""
-    count = points.shape[1]
-    chosen = points[:, np.linspace(0, count - 1, min(count, 32)).astype(int)]
-    first, second = np.triu_indices(chosen.shape[1], 1)
-    half = 0.5 * _lengths(chosen[:, second], chosen[:, first])
-    usable = (half > 0.25 * radius) & (half < radius)
-    if not usable.any():
-        return None
-    start, end, half = chosen[:, first[usable]], chosen[:, second[usable]], half[usable]
-    chord, middle = end - start, 0.5 * (start + end)
-    height = np.sqrt(radius**2 - half**2)
-    across = np.stack([-chord[1], chord[0]]) * (height / (2.0 * half))
-    centres = np.concatenate([middle + across, middle - across], axis=1)
-    errors = _lengths(points[:, None], centres[..., None]) - radius
-    return centres[:, int(np.argmax(np.sum(np.abs(errors) < tolerance, axis=1)))]
 
 
 # -------------------------------------------------------------------------------- distance
