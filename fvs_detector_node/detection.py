@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from fvs_detector_node.images import Region
-from fvs_detector_node.sphere import ACCEPT, Patch, SphereFit, fit_sphere, median, unit
+from fvs_detector_node.sphere import ACCEPT, Patch, SphereFit, fit_sphere, unit
 from fvs_ros.camera import Intrinsics
 from fvs_ros.params import Parameters, parameter
 
@@ -225,7 +225,7 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
     # First guess of the distance: half of a disc lies within 0.7 r of its middle.
     middle_px = np.array([box.u0 + 0.5 * (box.width - 1), box.v0 + 0.5 * (box.height - 1)])
     middle = unit(camera.rays(*middle_px))
-    distance_m = float(median(box_depth[known]) / middle[2]) + 0.7 * radius_m
+    distance_m = float(np.median(box_depth[known]) / middle[2]) + 0.7 * radius_m
     expected_px = _outline_area_px(middle, distance_m, radius_m, camera)
     share = blob.pixels / expected_px
     miss = Miss(

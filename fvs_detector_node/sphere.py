@@ -59,13 +59,8 @@ class Patch:
 
     def rays(self) -> np.ndarray:
         """Unit rays through all pixels, shape (h, w, 3)."""
-        x = (np.arange(self.view.width) - self.view.cx) / self.view.fx
-        y = (np.arange(self.view.height)[:, None] - self.view.cy) / self.view.fy
-        # Seven times as fast as with ``Intrinsics.rays``.
-        rays = np.empty((self.view.height, self.view.width, 3))
-        z = 1.0 / np.sqrt(x * x + y * y + 1.0)
-        rays[..., 0], rays[..., 1], rays[..., 2] = x * z, y * z, z
-        return rays
+        v, u = np.mgrid[: self.view.height, : self.view.width]
+        return unit(self.view.rays(u, v))
 
 
 @dataclass(frozen=True)
@@ -118,13 +113,6 @@ def unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.sqrt(np.sum(np.square(vectors), axis=-1, keepdims=True))
 
 
-def median(values: np.ndarray) -> float:
-    """Median of finite numbers; the checks of ``np.median`` take longer than the median."""
-    half = len(values) // 2
-    middle = (half,) if len(values) % 2 else (half - 1, half)
-    return sum(np.partition(values, middle)[list(middle)].tolist()) / len(middle)
-
-
 # ------------------------------------------------------------------------------- direction
 def _outline(patch: Patch) -> tuple[np.ndarray, np.ndarray]:
     """Outline halfway between neighbouring pixels inside and outside; none at the border.
@@ -170,15 +158,10 @@ def _fit_direction(
     # Of a ball that is partly hidden the first guess is off by up to half a radius.
     for cut in (radius, 0.3 * radius, 2.5 * tolerance):
         centre = _refine_circle(points, radius, centre, cut)
-    errors = np.abs(_lengths(points, centre) - radius)
+    errors = np.abs(np.hypot(*(points - centre[:, None])) - radius)
     on = int(np.count_nonzero(errors < tolerance))
     # A circle of radius n pixels crosses from pixel to pixel 8 n times.
     return unit(direction + centre @ axes), on / len(errors), on * pixel_rad / (8.0 * radius)
-
-
-def _lengths(points: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Distances of points in a plane, shape (2, ...), from others."""
-    return np.sqrt(np.square(points[0] - origin[0]) + np.square(points[1] - origin[1]))
 
 
 def _refine_circle(points: np.ndarray, radius: float, start: np.ndarray, cut: float) -> np.ndarray:
@@ -221,9 +204,9 @@ def _distances(
     if len(central) < ACCEPT.pixels:
         return None
     values = range_m[central] * cos[central] + np.sqrt(radius_m**2 - sideways2[central])
-    errors = np.abs(values - median(values))
+    errors = np.abs(values - np.median(values))
     # 1.4826 times the median is a normal deviation; depth comes in whole millimetres.
-    near = errors < ACCEPT.deviations * max(1.4826 * median(errors), 0.001)
+    near = errors < ACCEPT.deviations * max(1.4826 * np.median(errors), 0.001)
     central, values = central[near], values[near]
     if len(central) < ACCEPT.pixels:
         return None
