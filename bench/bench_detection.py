@@ -34,8 +34,8 @@ def images(poses):
     renderer = Renderer(world.client, CONFIG.intrinsics)
     for offset_rad in poses:
         world.reset(np.add(HOME_JOINTS_RAD, offset_rad))
-        world.place_ball()
-        yield *renderer.render(POSE), POSE.to_camera(world.ball_position())
+        world.place_carried()
+        yield *renderer.render(POSE), POSE.to_camera(world.carried_position())
     world.close()
 
 

@@ -146,7 +146,7 @@ def pursuits(count: int, speeds_m_s: Sequence[float], names: Sequence[str]) -> I
     rng = np.random.default_rng(405)
     simulation = simulation_of(EXACT)
     simulation.reset(HOME_RAD)
-    start_m, home = simulation.true_ball_position(), tuple(HOME_RAD.tolist())
+    start_m, home = simulation.true_pose().position_m, tuple(HOME_RAD.tolist())
     for number in range(count):
         plane = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
         case = Case(f"circle {number + 1}", home, home, 405_001 + number)

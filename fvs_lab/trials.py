@@ -323,7 +323,7 @@ def apart(
             simulation.reset(joints)
             if not _sees(simulation):
                 break
-            positions_m.append(simulation.true_ball_position())
+            positions_m.append(simulation.true_pose().position_m)
         else:
             if low_m <= length(positions_m[1] - positions_m[0]) <= high_m:
                 start, goal = map(tuple, pair.tolist())

@@ -84,7 +84,7 @@ def _work(pipe: Connection, memory: tuple[Any, Any], config: SimConfig) -> None:
         while True:
             observation, depth_noise = pipe.recv()
             world.reset(observation.joints_rad)
-            world.place_ball()
+            world.place_carried()
             frame = photograph(observation, world, renderer, rng, depth_noise)
             rgb[:], depth_m[:] = frame.rgb, frame.depth_m
             pipe.send(frame.stamp_s)

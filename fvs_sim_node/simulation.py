@@ -278,13 +278,13 @@ class Simulation:
         """Expose an image now; nothing is released for it."""
         config = self.config
         if config.rendered:
-            self.world.place_ball()
+            self.world.place_carried()
         z, visible_fraction = self._measured()
         observation = Observation(
             self.time_s,
             z,
             visible_fraction,
-            self.true_ball_position(),
+            self.true_pose().position_m,
             self.joints_rad,
             self._velocities,
             self.camera,
@@ -355,10 +355,6 @@ class Simulation:
         focal = 1.0 + self.config.focal_error
         x, y, z = (1.0 + self.config.depth_error) * position_m
         return np.array([x / focal, y / focal, z])
-
-    def true_ball_position(self) -> np.ndarray:
-        """Where the ball is now, camera frame, m, shape (3,). For evaluation only."""
-        return self.camera.to_camera(self.world.ball_position())
 
     def true_pose(self) -> CameraPose:
         """Ball or tag as the camera sees it now. For evaluation only."""

@@ -56,7 +56,7 @@ class World:
         self._set_motors = self.client.setJointMotorControlArray
         self._get_states = self.client.getJointStates
         self.step = self.client.stepSimulation
-        self._ball_offset_m, self._ball_radius_m = config.ball_offset_m, config.ball_radius_m
+        self._offset_m, self._ball_radius_m = config.ball_offset_m, config.ball_radius_m
         self._exposure_s = config.exposure_s
         try:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
@@ -70,15 +70,15 @@ class World:
             for thing in config.objects:
                 self.add_object(thing)
             self.carried = CARRIED[config.feature](config)
-            self._ball_offset_m += self.carried.depth_m
-            self._ball = self._body(self.carried.shape(self.client))
+            self._offset_m += self.carried.depth_m
+            self._carried_body = self._body(self.carried.shape(self.client))
             self._rod = self._add_rod()
             self.reset(np.zeros(len(self._joints)))
-            self._zero_ball_m, self._zero_link = self.ball_position(), self._link_rotation()
+            self._zero_position_m, self._zero_link = self.carried_position(), self._link_rotation()
             self._mount = np.eye(3)
             if self.carried.tilt_rad is not None:
                 self._mount = self._facing(config) @ cv2.Rodrigues(self.carried.tilt_rad)[0]
-            self.place_ball()
+            self.place_carried()
         except BaseException:
             self.close()
             raise
@@ -154,7 +154,7 @@ class World:
         home_rad = np.array(config.initial_joints_rad or self.home_rad)
         camera = config.camera_pose or self.camera(config.camera, config.intrinsics)
         self.reset(home_rad)
-        out = camera.position_m - self.ball_position()
+        out = camera.position_m - self.carried_position()
         out /= np.linalg.norm(out)
         right = np.cross((0.0, 0.0, 1.0) if abs(out[2]) < 0.99 else (1.0, 0.0, 0.0), out)
         right /= np.linalg.norm(right)
@@ -165,9 +165,9 @@ class World:
         shape = self.client.createVisualShape(
             pybullet.GEOM_CYLINDER,
             radius=0.007,
-            length=self._ball_offset_m,
+            length=self._offset_m,
             rgbaColor=(0.27, 0.30, 0.34, 1.0),
-            visualFramePosition=(0.0, 0.0, 0.5 * self._ball_offset_m),
+            visualFramePosition=(0.0, 0.0, 0.5 * self._offset_m),
         )
         return self._body(shape)
 
@@ -205,15 +205,15 @@ class World:
     def _link_rotation(self) -> np.ndarray:
         return _matrix(self._link_state()[5])
 
-    def ball_position(self) -> np.ndarray:
+    def carried_position(self) -> np.ndarray:
         """Centre of the ball or tag, world frame, m, shape (3,)."""
         state = self._link_state()
-        return np.array(state[4]) + self._ball_offset_m * _matrix(state[5])[:, 2]
+        return np.array(state[4]) + self._offset_m * _matrix(state[5])[:, 2]
 
     def carried_pose(self, camera: CameraPose) -> CameraPose:
         """Ball or tag as a camera sees it; the tag's x to the right of the print, z out of it."""
         rotation = camera.rotation.T @ self._link_rotation() @ self._mount
-        return CameraPose(camera.to_camera(self.ball_position()), rotation)
+        return CameraPose(camera.to_camera(self.carried_position()), rotation)
 
     def paint(
         self,
@@ -235,7 +235,7 @@ class World:
     def _jacobians(self, joints_rad: np.ndarray) -> list[np.ndarray]:
         """Of the ball's position and of the link's rotation, each of shape (3, n)."""
         # PyBullet takes the point along the link's inertial axes.
-        ball_m = np.array([0.0, 0.0, self._ball_offset_m])
+        ball_m = np.array([0.0, 0.0, self._offset_m])
         point = _matrix(self._link_state()[3]).T @ ball_m
         zeros = [0.0] * self._moving
         angles = np.zeros(self._moving)
@@ -252,10 +252,10 @@ class World:
 
     def chain_with(self, kind: Kind) -> SerialChain:
         """The same with what is measured of ball or tag."""
-        carried = kind.of_body(self._zero_ball_m, self._zero_link @ self._mount)
+        carried = kind.of_body(self._zero_position_m, self._zero_link @ self._mount)
         zeros = np.zeros(len(self._joints))
         linear, axes = (jacobian.T for jacobian in self._jacobians(zeros))
-        points_m = self._zero_ball_m + np.cross(axes, linear)
+        points_m = self._zero_position_m + np.cross(axes, linear)
         axes = np.where(self._prismatic[:, None], linear, axes)
         return SerialChain(axes, points_m, carried, zeros, self._prismatic)
 
@@ -284,7 +284,7 @@ class World:
         """Shares of the ball that the arm hides from poses at some joints, by five rays each."""
         self.reset(joints_rad)
         self.client.performCollisionDetection()
-        ball_m, shares = self.ball_position(), np.empty(len(poses))
+        ball_m, shares = self.carried_position(), np.empty(len(poses))
         for index, pose in enumerate(poses):
             across = 0.8 * self._ball_radius_m * pose.rotation[:, :2].T
             ends = ball_m + np.vstack([np.zeros(3), across, -across])
@@ -293,14 +293,14 @@ class World:
             shares[index] = np.mean([hit[0] >= 0 for hit in hits])
         return shares
 
-    def place_ball(self) -> None:
+    def place_carried(self) -> None:
         """Move the ball or tag and its rod to the link's present pose; call before rendering."""
         state = self._link_state()
         rotation = self._link_rotation() @ self._mount
         foot = np.array(state[4]) - self.carried.rod_gap_m * rotation[:, 2]
         self.client.resetBasePositionAndOrientation(self._rod, foot, state[5])
         self.client.resetBasePositionAndOrientation(
-            self._ball, self.ball_position(), quaternion_from_rotation(rotation)
+            self._carried_body, self.carried_position(), quaternion_from_rotation(rotation)
         )
 
 

@@ -107,7 +107,7 @@ class ClosedLoop:
     @property
     def ball_m(self) -> np.ndarray:
         """Where the ball or tag truly is, camera frame, m, shape (3,)."""
-        return self.simulation.true_ball_position()
+        return self.simulation.true_pose().position_m
 
     @property
     def true_feature(self) -> np.ndarray:

@@ -137,7 +137,7 @@ def test_a_target_that_goes_round_and_round_is_followed_near_the_posture_of_the_
     radius_m, speed_m_s = 0.1, 0.15
     loop = loop_from("extended", HOME_RAD)
     simulation = loop.simulation
-    began_s, start_m = simulation.time_s, simulation.true_ball_position()
+    began_s, start_m = simulation.time_s, simulation.true_pose().position_m
     away_rad, told_s = 0.0, 0.0
     while (now_s := simulation.time_s - began_s) < 12.0:
         if now_s >= told_s:
@@ -162,7 +162,9 @@ def rendered_loop(method="rbf", seed=1, **disturbances):
     candidates_m = load_model(find_file(Ball.model)).z_samples
 
     def target(distance_m=0.3):
-        return choose_target(Ball(), candidates_m, simulation.true_ball_position(), distance_m, rng)
+        return choose_target(
+            Ball(), candidates_m, simulation.true_pose().position_m, distance_m, rng
+        )
 
     return loop, target
 

@@ -59,7 +59,7 @@ def test_window_equals_crop(world):
     rng = np.random.default_rng(2)
     for _ in range(3):
         world.reset(CENTRE + HALF_BOX * rng.uniform(-1.0, 1.0, 6))
-        world.place_ball()
+        world.place_carried()
         whole_rgb, whole_depth = renderer.render(pose)
         for size in (96, 112, 131):
             u0, v0 = int(rng.integers(0, 640 - size)), int(rng.integers(0, 480 - size))

@@ -39,7 +39,7 @@ def test_physics_engine_and_chain_agree_with_the_published_kinematics(world):
     np.testing.assert_allclose(world.chain.jacobian(joints), jacobians, atol=1e-12)
     for one, ball_m in zip(joints, balls_m, strict=True):
         world.reset(one)
-        np.testing.assert_allclose(world.ball_position(), ball_m, atol=1e-6)
+        np.testing.assert_allclose(world.carried_position(), ball_m, atol=1e-6)
 
 
 def test_the_ur5_has_inertias_limits_and_nothing_of_the_balls_colour(world):
