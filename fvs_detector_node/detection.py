@@ -244,7 +244,6 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
     if (
         fit is None
         or fit.on_outline < ACCEPT.on_outline
-        or fit.arc < ACCEPT.arc
         or fit.residual_m > ACCEPT.residual_radii * radius_m
     ):
         return miss

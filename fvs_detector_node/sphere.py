@@ -35,8 +35,6 @@ class Acceptance:
     nearest_radii: float = 1.5
     #: Least share of the candidate's outline that lies on the sphere's; others cut off the rest.
     on_outline: float = 0.6
-    #: Least share of the sphere's outline that is seen: a shorter arc fits any corner.
-    arc: float = 0.2
     #: Largest rms deviation of its surface from the sphere, radii: a flat disc has 0.24.
     residual_radii: float = 0.1
     #: Tolerance of outline points on a circle, as a share of its radius; at least 1.2 pixels.
@@ -70,7 +68,6 @@ class SphereFit:
     direction: np.ndarray  # unit vector to the centre, (3,)
     distance_m: float  # of the centre
     on_outline: float  # share of the candidate's outline that lies on the sphere's
-    arc: float  # share of the sphere's outline that is seen
     residual_m: float  # systematic departure of the surface from the sphere, rms
     pixel_rad: float  # angle of a pixel there
 
@@ -94,9 +91,7 @@ def fit_sphere(
         before_m = distance_m
         # An edge against a nearer object is not the sphere's outline.
         free = outline[outside_m >= distance_m * direction[2] - 0.5 * radius_m]
-        direction, on_outline, arc = _fit_direction(
-            free, direction, distance_m, radius_m, pixel_rad
-        )
+        direction, on_outline = _fit_direction(free, direction, distance_m, radius_m, pixel_rad)
         surface = _distances(own, range_m, direction, radius_m)
         if surface is None:
             return None
@@ -105,7 +100,7 @@ def fit_sphere(
         if iteration > 0 and abs(distance_m - before_m) < 2e-4:
             break
     residual_m = _systematic(distances_m - distance_m, shape)
-    return SphereFit(direction, distance_m, on_outline, arc, residual_m, pixel_rad)
+    return SphereFit(direction, distance_m, on_outline, residual_m, pixel_rad)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -142,10 +137,10 @@ def _fit_direction(
     distance_m: float,
     radius_m: float,
     pixel_rad: float,
-) -> tuple[np.ndarray, float, float]:
-    """Axis of the cone of known opening through an outline, and the shares of both that match."""
+) -> tuple[np.ndarray, float]:
+    """Axis of the cone of known opening through an outline, and the outline's share on it."""
     if len(rays) < 6:
-        return direction, 0.0, 0.0
+        return direction, 0.0
     x, y, z = direction
     axes = np.array([[z, 0.0, -x], [-x * y, x * x + z * z, -y * z]])
     axes /= np.sqrt(x * x + z * z)
@@ -159,9 +154,7 @@ def _fit_direction(
     for cut in (radius, 0.3 * radius, 2.5 * tolerance):
         centre = _refine_circle(points, radius, centre, cut)
     errors = np.abs(np.hypot(*(points - centre[:, None])) - radius)
-    on = int(np.count_nonzero(errors < tolerance))
-    # A circle of radius n pixels crosses from pixel to pixel 8 n times.
-    return unit(direction + centre @ axes), on / len(errors), on * pixel_rad / (8.0 * radius)
+    return unit(direction + centre @ axes), float(np.mean(errors < tolerance))
 
 
 def _refine_circle(points: np.ndarray, radius: float, start: np.ndarray, cut: float) -> np.ndarray:
