@@ -339,7 +339,7 @@ class PlayedRobot:
         deep = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
         node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self._on_command, deep)
         self._last_s = time.monotonic()
-        node.create_timer(0.008, self._step)
+        node.create_timer(1 / 60, self._step)
         node.create_timer(1 / 30, self._look)
 
     def now_s(self) -> float:

@@ -175,7 +175,7 @@ def test_no_code_outside_a_kind_asks_which_kind_it_is():
         tree = ast.parse((ROOT / path).read_text("utf-8"))
         if not path.startswith("fvs_ros/kinds/") and any(map(asks_for_a_kind, ast.walk(tree))):
             asking.add(path)
-    assert asking == ASKING
+    assert asking <= ASKING
 
 
 @each(
