@@ -143,6 +143,7 @@ def test_without_a_model_it_hands_on_the_truth_or_learns_from_zero(ros_test):
     np.testing.assert_array_equal(estimator.jacobian(), robot.jacobian)
     # What was true a moment ago is not handed on as if it were of now.
     teller.cancel()
+    ros_test.spin_for(0.4)
     estimator.wait_for("WAITING")
     heard = len(estimator.jacobians)
     ros_test.spin_for(0.4)
@@ -159,13 +160,17 @@ def test_without_a_model_it_hands_on_the_truth_or_learns_from_zero(ros_test):
     estimator.wait(lambda: estimator.choose("lkf").successful)
     estimator.wait(lambda: "has seen no motion" in estimator.text())
     assert len(estimator.jacobians) == heard
-    for joint in range(5):
-        robot.velocity = 0.3 * np.eye(6)[joint]
+
+    def error():
+        return np.linalg.norm(estimator.jacobian() - robot.jacobian)
+
+    for leg in range(50):  # on a busy machine some show few images
+        robot.velocity = 0.3 * (-1.0) ** (leg // 5) * np.eye(6)[leg % 5]
         ros_test.spin_for(0.4)
+        if leg % 5 == 4 and error() < 0.1 * np.linalg.norm(robot.jacobian):
+            break
     robot.velocity = np.zeros(6)
-    estimator.wait(lambda: estimator.number("updates") > 10.0)
-    error = np.linalg.norm(estimator.jacobian() - robot.jacobian)
-    assert error < 0.1 * np.linalg.norm(robot.jacobian)
+    assert error() < 0.1 * np.linalg.norm(robot.jacobian)
     assert 0.0 < estimator.number("entry_deviation_m_rad") < 0.5
 
 
