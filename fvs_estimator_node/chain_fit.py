@@ -5,11 +5,8 @@ of a :class:`~fvs_ros.chain.SerialChain` of n joints (two for each axis' directi
 place, m for the feature) and the stamp offset ``tau``. They are found by robust non-linear least
 squares with exact derivatives.
 
-The start comes from a cubic regression of the positions (:mod:`fvs_estimator_node.chain_start`) at
-the best of several ``tau``. A joint that hardly moves the ball determines its axis poorly: the axis
-may be found on the wrong side of the ball. So the other side is tried, until the residual is near
-the images' noise, and once more for the weakest joint after the full fit. A joint that moves the
-ball by its own travel may be prismatic: then it turns the motion of no joint behind it.
+The starts are random chains, of which the best of a part of the images goes on. Each joint may be
+prismatic, too: then it turns the motion of no joint behind it.
 """
 
 from __future__ import annotations
@@ -25,14 +22,8 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.chain_chart import OFFSET, Chart, residuals_and_slopes
-from fvs_estimator_node.chain_start import (
-    MAX_OFFSET_S,
-    Path,
-    first_guess,
-    other_starts,
-    regress,
-)
 from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path
 from fvs_ros.chain import SerialChain, cross_matrix
 from fvs_ros.filter import OUTLIER
 from fvs_ros.timeline import MAX_GAP_S
@@ -40,10 +31,10 @@ from fvs_ros.vectors import LARGEST, plausible
 
 #: Fewest images that a chain is fitted to.
 _MIN_SAMPLES = 200
-#: Images, and offsets of the stamps, of the search for the right start.
-_SEARCH_SAMPLES, _SEARCH_OFFSETS = 400, 13
-#: Random starts for still poses, at least and at most; each is solved in so many charts of so many
-#: evaluations. Seven of ten reach the best optimum.
+#: Images of the search for the right start.
+_SEARCH_SAMPLES = 400
+#: Random starts, at least and at most; each is solved in so many charts of so many evaluations.
+#: Seven of ten reach the best optimum.
 _LEAST_STARTS, _MOST_STARTS, _CHARTS, _IN_A_CHART = 8, 30, 8, 15
 #: First guess of their residuals, over the spread of the feature; costs of the same optimum differ
 #: by less than this share, or this much, which is 0.4 % of the spread.
@@ -53,10 +44,6 @@ _ROUGH, _SAME, _SAME_COST = 0.1, 0.02, 1e-3
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
 #: Least count of pairs of neighbouring images for a median.
 _LEAST_PAIRS = 50
-#: A start is right if its residual is below this multiple of the images' own.
-_GOOD_SHARE = 1.2
-#: Another start is better if it costs this share or less.
-_BETTER = 0.9
 #: Prior standard deviations, which hold coordinates that the data do not determine: rad, m, m/rad
 #: for turns, shifts and slopes of the residuals by the joints; s for the offset.
 _PRIOR, _OFFSET_PRIOR_S = 1.0, 0.1
@@ -201,9 +188,9 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
     # Matrices of few columns: on a busy machine more threads took twenty times as long.
     with threadpool_limits(1):
         say("looking for the axes")
-        found = fitting.start_at_random() if data.still else fitting.start()
+        start = fitting.start()
         say("fitting")
-        return fitting.finish(found)
+        return fitting.finish(start)
 
 
 class _Found(NamedTuple):
@@ -214,6 +201,10 @@ class _Found(NamedTuple):
     cost: float
 
 
+def _cost(optimum: _Found) -> float:
+    return optimum.cost
+
+
 class _Fitting:
     """One fit: the joints at any time, and the feature in k images, (k, m), with its weights."""
 
@@ -222,89 +213,48 @@ class _Fitting:
         self._z = weights * features
 
     def start(self) -> _Found:
-        """The best of some starts, each fitted to a part of the images."""
-        reference = self._path.joints_and_velocities(0.0)[0].mean(axis=0)
-        regression = min(
-            (
-                regress(offset_s, self._path.joints_and_velocities(offset_s)[0], reference, self._z)
-                for offset_s in np.linspace(-MAX_OFFSET_S, MAX_OFFSET_S, _SEARCH_OFFSETS)
-            ),
-            key=lambda one: one.distance_m,
-        )
-        count = min(_SEARCH_SAMPLES, len(self._z))
-        some = np.linspace(0, len(self._z) - 1, count).astype(int)
-
-        def fitted(chain: SerialChain) -> _Found:
-            begin = _Found(chain, regression.offset_s, math.inf)
-            images, size = self._z.shape
-            unit = np.broadcast_to(np.eye(size) / regression.distance_m, (images, size, size))
-            return self._solve(begin, unit, some, 3.0, 60)
-
-        best, rank, better = fitted(first_guess(regression, reference)), 0, 0
-        while rank < better + len(reference):  # all joints since the last that was better
-            residual_m, noise_m = self._distances_m(self._residuals(best))
-            if residual_m < _GOOD_SHARE * noise_m:
-                break
-            for other in map(fitted, other_starts(best.chain, rank)):
-                if other.cost < _BETTER * best.cost:
-                    best, better = other, rank + 1
-            rank += 1
-        return best
-
-    def start_at_random(self) -> _Found:
-        """The best of some random chains; an optimum that is found twice is taken for it.
-
-        Still poses are too few for a regression, but far apart, so that few wrong optima are left.
-        """
+        """The best of some random chains; an optimum that is found twice is taken for it."""
         rng, joints = np.random.default_rng(0), self._path.joints_and_velocities(0.0)[0]
         middle, reference = self._z.mean(axis=0), joints.mean(axis=0)
         spread_m = float(np.linalg.norm(self._z[:, :3].std(axis=0)))
-        tried: list[_Found] = []
-        while len(tried) < _MOST_STARTS:
-            axes, places = rng.normal(size=(2, len(reference), 3))
-            chain = SerialChain(axes, middle[:3] + spread_m * places, middle, reference)
-            one = self._from_afar(chain, spread_m)
-            tried = sorted([*tried, one], key=lambda each: each.cost)
-            best, *others = (each.cost for each in tried)
-            if len(tried) >= _LEAST_STARTS and others[0] < (1.0 + _SAME) * best + _SAME_COST:
+        optima: list[_Found] = []
+        while len(optima) < _MOST_STARTS:
+            axes, points = rng.normal(size=(2, len(reference), 3))
+            chain = SerialChain(axes, middle[:3] + spread_m * points, middle, reference)
+            optima.append(self._from_afar(chain, spread_m))
+            best, *others = sorted(optimum.cost for optimum in optima)
+            if len(optima) >= _LEAST_STARTS and others[0] < (1.0 + _SAME) * best + _SAME_COST:
                 break
-        found = tried[0]
+        optimum = min(optima, key=_cost)
         for joint in range(len(reference)):
-            slopes = found.chain.jacobian(reference)[:3]
+            slopes = optimum.chain.jacobian(reference)[:3]
             is_joint = np.arange(len(reference)) == joint
             shifting = replace(
-                found.chain,
-                axes=np.where(is_joint[:, None], slopes.T, found.chain.axes),
-                prismatic=np.where(is_joint, 1.0, found.chain.prismatic),
+                optimum.chain,
+                axes=np.where(is_joint[:, None], slopes.T, optimum.chain.axes),
+                prismatic=np.where(is_joint, 1.0, optimum.chain.prismatic),
             )
-            found = min(found, self._from_afar(shifting, spread_m), key=lambda each: each.cost)
-        return found
+            optimum = min(optimum, self._from_afar(shifting, spread_m), key=_cost)
+        return optimum
 
     def _from_afar(self, chain: SerialChain, spread_m: float) -> _Found:
         """The optimum from a start that may be far from it, by a new chart after some steps."""
         images, size = self._z.shape
         unit = np.broadcast_to(np.eye(size) / (_ROUGH * spread_m), (images, size, size))
-        found = _Found(chain, 0.0, math.inf)
+        spread = np.linspace(0, images - 1, min(_SEARCH_SAMPLES, images)).astype(int)
+        optimum = _Found(chain, 0.0, math.inf)
         for _ in range(_CHARTS):
-            last = found
-            found = self._solve(last, unit, np.arange(images), evaluations=_IN_A_CHART)
-            if found.cost > (1.0 - _SAME) * last.cost:
+            last = optimum
+            optimum = self._solve(last, unit, spread, evaluations=_IN_A_CHART)
+            if optimum.cost > (1.0 - _SAME) * last.cost:
                 break
-        return found
+        return optimum
 
     def finish(self, found: _Found) -> ChainFit:
         """Fit all images, each weighed by its noise along and across the line of sight."""
         images = np.arange(len(self._z))
         weights = whitening(self._residuals(found), self._z)
         found = self._solve(found, weights, images)
-        # A wrong optimum can fit almost as well, since noise hides the curvature of a weak joint.
-        # The right side converges in about six evaluations, a wrong one does not.
-        for other in other_starts(found.chain, 0):
-            about = found._replace(chain=other)
-            turned = self._solve(about, weights, images, evaluations=10)
-            if turned.cost < found.cost:
-                weights = whitening(self._residuals(turned), self._z)
-                found = self._solve(turned, weights, images)
         # Outliers had a small weight so far, but a long run of them would still bias the fit.
         inlier = inliers(self._residuals(found), self._z)
         if not inlier.all():
@@ -349,20 +299,40 @@ class _Fitting:
         chart = Chart(begin.chain)
         deviation = np.full(chart.size, _PRIOR)
         deviation[OFFSET] = _OFFSET_PRIOR_S
-
-        def white(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            joints, velocity = self._path.joints_and_velocities(float(values[OFFSET]))
-            residual, slope = residuals_and_slopes(
-                chart, values, joints[images], velocity[images], self._z[images]
-            )
-            return whitening[images] @ residual[..., None], whitening[images] @ slope
-
-        first = np.zeros(chart.size)
-        first[OFFSET] = begin.offset_s
-        limit = np.full(chart.size, np.inf)
+        first, limit = np.zeros(chart.size), np.full(chart.size, np.inf)
         limit[OFFSET] = MAX_OFFSET_S
-        found, cost = robust_optimum(white, first, deviation, scale, evaluations, limit)
-        return _Found(chart.chain(found), float(found[OFFSET]), cost / len(images))
+        first[OFFSET] = np.clip(begin.offset_s, -0.99 * MAX_OFFSET_S, 0.99 * MAX_OFFSET_S)
+        numbers = self._z[images].size + chart.size
+
+        @lru_cache(maxsize=1)
+        def white(content: bytes) -> tuple[np.ndarray, np.ndarray]:
+            values = np.frombuffer(content)
+            joints, velocity = self._path.joints_and_velocities(float(values[OFFSET]))
+            try:
+                residual, slopes = residuals_and_slopes(
+                    chart, values, joints[images], velocity[images], self._z[images]
+                )
+            except ValueError:  # after a step too far, which is then made shorter
+                return np.full(numbers, np.inf), np.empty(0)
+            residual = np.append(whitening[images] @ residual[..., None], values / deviation)
+            slopes = np.append(whitening[images] @ slopes, np.diag(1.0 / deviation))
+            return residual, slopes.reshape(numbers, -1)
+
+        solution = least_squares(
+            lambda values: white(values.tobytes())[0],
+            first,
+            lambda values: white(values.tobytes())[1],
+            bounds=(-limit, limit),
+            loss="soft_l1",
+            f_scale=scale,
+            max_nfev=evaluations,
+            ftol=1e-6,
+            xtol=1e-7,
+            gtol=1e-10,
+            x_scale=deviation,
+        )
+        offset_s, cost = float(solution.x[OFFSET]), float(solution.cost) / len(images)
+        return _Found(chart.chain(solution.x), offset_s, cost)
 
     def _distances_m(self, residual: np.ndarray) -> tuple[float, float]:
         """Median length of the residuals, and of their noise part, m.
@@ -400,58 +370,6 @@ class _Fitting:
         unfitted = np.outer(change, change) - wider
         unfitted[: chart.size, : chart.size] += covariance
         return covariance, unfitted
-
-
-def robust_optimum(
-    white: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
-    start: np.ndarray,
-    deviation: np.ndarray,
-    scale: float,
-    evaluations: int,
-    limit: np.ndarray | float = np.inf,
-) -> tuple[np.ndarray, float]:
-    """The optimum of residuals and of a prior about zero, and its cost.
-
-    Parameters
-    ----------
-    white : callable
-        Residuals in standard deviations, k of them in all, and their slopes, (..., p), at unknowns,
-        (p,); a ValueError after a step too far, which is then made shorter.
-    start, deviation, limit : ndarray, shape (p,)
-        Of the unknowns: where to begin, prior deviation, and largest size.
-    scale : float
-        Residuals above it have a decreasing weight.
-    evaluations : int
-        At most.
-    """
-    numbers = 0
-
-    @lru_cache(maxsize=1)
-    def both(content: bytes) -> tuple[np.ndarray, np.ndarray]:
-        nonlocal numbers
-        values = np.frombuffer(content)
-        try:
-            residual, slopes = white(values)
-        except ValueError:
-            return np.full(numbers, np.inf), np.empty(0)
-        residual = np.append(residual, values / deviation)
-        numbers = len(residual)
-        return residual, np.append(slopes, np.diag(1.0 / deviation)).reshape(numbers, -1)
-
-    solution = least_squares(
-        lambda values: both(values.tobytes())[0],
-        np.clip(start, -0.99 * limit, 0.99 * limit),
-        lambda values: both(values.tobytes())[1],
-        bounds=(-np.broadcast_to(limit, start.shape), np.broadcast_to(limit, start.shape)),
-        loss="soft_l1",
-        f_scale=scale,
-        max_nfev=evaluations,
-        ftol=1e-6,
-        xtol=1e-7,
-        gtol=1e-10,
-        x_scale=deviation,
-    )
-    return solution.x, float(solution.cost)
 
 
 def noise_by_direction(residual_m: np.ndarray, feature_m: np.ndarray) -> tuple[float, float]:

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.chain_fit import ChainFit, fit_chain
-from fvs_estimator_node.chain_start import MAX_OFFSET_S, STILL_RAD
 from fvs_estimator_node.files import DataSet, TrainedModel, range_of
+from fvs_estimator_node.joint_path import MAX_OFFSET_S, STILL_RAD
 from fvs_estimator_node.pairs import Pairs, Progress, TrainingError, ridge_weights
 from fvs_estimator_node.rbf import RbfModel, rbf_features
 from fvs_ros.chain import SerialChain

@@ -13,8 +13,8 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from fvs_estimator_node.chain_start import MAX_OFFSET_S
 from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.joint_path import MAX_OFFSET_S
 from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.urdf import Kinematics
 from fvs_ros.vectors import LARGEST, plausible

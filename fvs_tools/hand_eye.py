@@ -20,8 +20,8 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.chain_fit import inliers, whitening
-from fvs_estimator_node.chain_start import MAX_OFFSET_S, Path
 from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.urdf import Kinematics
 from fvs_tools.hand_eye_model import HandEyeModel, Unknowns, registration

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fvs_estimator_node.chain_start import Path
 from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.joint_path import Path
 from fvs_ros.rotations import nearest_rotation
 from fvs_ros.urdf import Kinematics
 

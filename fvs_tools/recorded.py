@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.chain_start import LEAST_RUN, MAX_OFFSET_S
 from fvs_estimator_node.files import DataSet, data_set_of
+from fvs_estimator_node.joint_path import LEAST_RUN, MAX_OFFSET_S
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.kinds import KINDS, Kind
 from fvs_ros.ros import from_camera_info, from_feature, from_stamp

@@ -135,7 +135,6 @@ KIND_SIZES = {3, 6, 12}
 #: Files that ask all the same: what moves with the last link, and a Jacobian before any image.
 ASKING = {
     "fvs_estimator_node/chain_fit.py",
-    "fvs_estimator_node/chain_start.py",
     "fvs_estimator_node/loop.py",
     "fvs_ros/chain.py",
 }
