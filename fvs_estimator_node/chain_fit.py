@@ -139,12 +139,12 @@ class ChainFit:
         jacobian = chain.jacobian(joints_rad)
         numbers = jacobian[0].size
         changes = np.zeros((len(joints_rad), numbers, len(self.unfitted)))
-        for place, step in enumerate(_STEP * np.eye(chart.size - 1)):
+        for column, step in enumerate(_STEP * np.eye(chart.size - 1)):
             change = (chart.chain(step).jacobian(joints_rad) - jacobian) / _STEP
-            changes[..., place] = change.reshape(len(joints_rad), -1)
+            changes[..., column] = change.reshape(len(joints_rad), -1)
         changes[..., chart.size :] = np.eye(numbers)
-        some = changes[..., : chart.size]
-        noise = np.sum(some @ self.covariance * some, axis=(1, 2))
+        of_chain = changes[..., : chart.size]
+        noise = np.sum(of_chain @ self.covariance * of_chain, axis=(1, 2))
         square = noise + np.maximum(np.sum(changes @ self.unfitted * changes, axis=(1, 2)), 0.0)
         return np.sqrt(square) / np.linalg.norm(jacobian, axis=(1, 2))
 
@@ -193,7 +193,7 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
         return fitting.finish(start)
 
 
-class _Found(NamedTuple):
+class _Optimum(NamedTuple):
     """An optimum: chain, offset of the stamps, s, and cost for an image."""
 
     chain: SerialChain
@@ -201,7 +201,7 @@ class _Found(NamedTuple):
     cost: float
 
 
-def _cost(optimum: _Found) -> float:
+def _cost(optimum: _Optimum) -> float:
     return optimum.cost
 
 
@@ -212,12 +212,12 @@ class _Fitting:
         self._path, self._weights = path, weights
         self._z = weights * features
 
-    def start(self) -> _Found:
+    def start(self) -> _Optimum:
         """The best of some random chains; an optimum that is found twice is taken for it."""
         rng, joints = np.random.default_rng(0), self._path.joints_and_velocities(0.0)[0]
         middle, reference = self._z.mean(axis=0), joints.mean(axis=0)
         spread_m = float(np.linalg.norm(self._z[:, :3].std(axis=0)))
-        optima: list[_Found] = []
+        optima: list[_Optimum] = []
         while len(optima) < _MOST_STARTS:
             axes, points = rng.normal(size=(2, len(reference), 3))
             chain = SerialChain(axes, middle[:3] + spread_m * points, middle, reference)
@@ -237,12 +237,12 @@ class _Fitting:
             optimum = min(optimum, self._from_afar(shifting, spread_m), key=_cost)
         return optimum
 
-    def _from_afar(self, chain: SerialChain, spread_m: float) -> _Found:
+    def _from_afar(self, chain: SerialChain, spread_m: float) -> _Optimum:
         """The optimum from a start that may be far from it, by a new chart after some steps."""
         images, size = self._z.shape
         unit = np.broadcast_to(np.eye(size) / (_ROUGH * spread_m), (images, size, size))
         spread = np.linspace(0, images - 1, min(_SEARCH_SAMPLES, images)).astype(int)
-        optimum = _Found(chain, 0.0, math.inf)
+        optimum = _Optimum(chain, 0.0, math.inf)
         for _ in range(_CHARTS):
             last = optimum
             optimum = self._solve(last, unit, spread, evaluations=_IN_A_CHART)
@@ -250,24 +250,24 @@ class _Fitting:
                 break
         return optimum
 
-    def finish(self, found: _Found) -> ChainFit:
+    def finish(self, optimum: _Optimum) -> ChainFit:
         """Fit all images, each weighed by its noise along and across the line of sight."""
         images = np.arange(len(self._z))
-        weights = whitening(self._residuals(found), self._z)
-        found = self._solve(found, weights, images)
+        weights = whitening(self._residuals(optimum), self._z)
+        optimum = self._solve(optimum, weights, images)
         # Outliers had a small weight so far, but a long run of them would still bias the fit.
-        inlier = inliers(self._residuals(found), self._z)
+        inlier = inliers(self._residuals(optimum), self._z)
         if not inlier.all():
-            found = self._solve(found, weights, images[inlier])
-        residual = self._residuals(found)
+            optimum = self._solve(optimum, weights, images[inlier])
+        residual = self._residuals(optimum)
         residual_m, noise_m = self._distances_m(residual)
         ray_m, lateral_m = noise_by_direction(residual[:, :3], self._z)
         inlier = inliers(residual, self._z)
-        covariance, unfitted = self._moments(found, weights, inlier)
+        covariance, unfitted = self._moments(optimum, weights, inlier)
         return ChainFit(
-            chain=found.chain.weighted(1.0 / self._weights),
+            chain=optimum.chain.weighted(1.0 / self._weights),
             weights=self._weights,
-            time_offset_s=found.offset_s,
+            time_offset_s=optimum.offset_s,
             time_offset_deviation_s=float(np.sqrt(covariance[OFFSET, OFFSET])),
             residual_m=residual_m,
             noise_m=noise_m,
@@ -279,18 +279,18 @@ class _Fitting:
             unfitted=unfitted,
         )
 
-    def _residuals(self, found: _Found) -> np.ndarray:
-        joints = self._path.joints_and_velocities(found.offset_s)[0]
-        return found.chain.position(joints) - self._z
+    def _residuals(self, optimum: _Optimum) -> np.ndarray:
+        joints = self._path.joints_and_velocities(optimum.offset_s)[0]
+        return optimum.chain.position(joints) - self._z
 
     def _solve(
         self,
-        begin: _Found,
+        begin: _Optimum,
         whitening: np.ndarray,
         images: np.ndarray,
         scale: float = 2.0,
         evaluations: int = 100,
-    ) -> _Found:
+    ) -> _Optimum:
         """The robust optimum for some images.
 
         The prior holds coordinates that the data do not determine. Residuals above ``scale``
@@ -332,7 +332,7 @@ class _Fitting:
             x_scale=deviation,
         )
         offset_s, cost = float(solution.x[OFFSET]), float(solution.cost) / len(images)
-        return _Found(chart.chain(solution.x), offset_s, cost)
+        return _Optimum(chart.chain(solution.x), offset_s, cost)
 
     def _distances_m(self, residual: np.ndarray) -> tuple[float, float]:
         """Median length of the residuals, and of their noise part, m.
@@ -348,24 +348,24 @@ class _Fitting:
         return float(np.median(np.linalg.norm(residual, axis=1))), noise_m
 
     def _moments(
-        self, found: _Found, whitening: np.ndarray, inlier: np.ndarray
+        self, optimum: _Optimum, whitening: np.ndarray, inlier: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Covariance by the noise, and what a constant Jacobian beside the chain would change."""
-        joints, velocity = self._path.joints_and_velocities(found.offset_s)
-        chart = Chart(found.chain)
+        joints, velocity = self._path.joints_and_velocities(optimum.offset_s)
+        chart = Chart(optimum.chain)
         residual, slope = residuals_and_slopes(
             chart, np.zeros(chart.size), joints, velocity, self._z
         )
         beside = np.kron(np.eye(self._z.shape[1]), (joints - joints.mean(axis=0))[:, None])
         columns = np.concatenate([slope, beside], axis=2)
         rows = (whitening @ columns)[inlier].reshape(-1, columns.shape[2])
-        wanted = (whitening @ residual[..., None])[inlier].ravel()
+        missed = (whitening @ residual[..., None])[inlier].ravel()
         prior = np.full(columns.shape[2], _PRIOR)
         prior[chart.size + OFFSET] = _OFFSET_PRIOR_S
         known = rows.T @ rows + np.diag(prior**-2)
         covariance = np.linalg.inv(known[: chart.size, : chart.size])
         wider = np.linalg.inv(known)
-        change = wider @ (rows.T @ wanted)
+        change = wider @ (rows.T @ missed)
         # Noise alone makes a difference of the two fits as large as that of their covariances.
         unfitted = np.outer(change, change) - wider
         unfitted[: chart.size, : chart.size] += covariance
@@ -409,11 +409,12 @@ def whitening(residual_m: np.ndarray, feature_m: np.ndarray) -> np.ndarray:
     if size > 3:
         # Motions of the axes by turns, (k, 9, 3): orthonormal columns.
         axes = feature_m[:, 3:].reshape(images, -1, 3)
-        turns = -cross_matrix(axes).reshape(images, size - 3, 3)
-        turns /= np.linalg.norm(turns, axis=1, keepdims=True)
-        back = np.swapaxes(turns, 1, 2)
-        of_turn, lateral_m = by_noise((back @ residual_m[:, 3:, None])[..., 0])
-        whole[:, 3:, 3:] = (np.eye(size - 3) - turns @ back) / lateral_m + turns @ of_turn @ back
+        rotations = -cross_matrix(axes).reshape(images, size - 3, 3)
+        rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
+        back = np.swapaxes(rotations, 1, 2)
+        of_rotation, lateral_m = by_noise((back @ residual_m[:, 3:, None])[..., 0])
+        whole[:, 3:, 3:] = (np.eye(size - 3) - rotations @ back) / lateral_m
+        whole[:, 3:, 3:] += rotations @ of_rotation @ back
     return whole
 
 

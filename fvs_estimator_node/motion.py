@@ -139,8 +139,8 @@ class RandomMotion:
         At a time since the start, s, and measured joint positions, rad, (n,).
         """
         reference, velocity = self._reference(time_s)
-        wanted = velocity + _POSITION_GAIN * (reference - joints_rad)
-        return limit_speed(wanted, self._config.max_joint_velocity_rad_s, self._unit)
+        command = velocity + _POSITION_GAIN * (reference - joints_rad)
+        return limit_speed(command, self._config.max_joint_velocity_rad_s, self._unit)
 
     def _reference(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
         end_s, position, velocity = self._config.duration_s, self._start, np.zeros(len(self._start))
@@ -152,9 +152,9 @@ class RandomMotion:
             (self._start, end_s - time_s, -1.0),
         ):
             share, slope = _soft_step(from_s / self._ramp_s)
-            off = position - home
-            velocity = share * velocity + direction * slope / self._ramp_s * off
-            position = home + share * off
+            from_home = position - home
+            velocity = share * velocity + direction * slope / self._ramp_s * from_home
+            position = home + share * from_home
         return position, velocity
 
     def return_home(self) -> None:

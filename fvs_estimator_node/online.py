@@ -217,17 +217,17 @@ class UkfEstimator(OnlineEstimator):
         mean_weights = np.append(0.0, np.full(2 * count, 0.5 / count))
         weights = np.append(2.0, mean_weights[1:])[:, None]
         points = np.concatenate([np.zeros((1, count)), arms, -arms]) + jacobian.reshape(count)
-        seen_m = points.reshape(-1, *jacobian.shape) @ step.d_joints_rad
+        moved_m = points.reshape(-1, *jacobian.shape) @ step.d_joints_rad
 
-        mean, mean_m = mean_weights @ points, mean_weights @ seen_m
-        off, off_m = points - mean, seen_m - mean_m
-        weighted_m = weights * off_m
-        innovation = off_m.T @ weighted_m + variance_m2 * np.eye(m)
-        gain = np.linalg.solve(innovation, weighted_m.T @ off).T
+        mean, mean_m = mean_weights @ points, mean_weights @ moved_m
+        deviations, deviations_m = points - mean, moved_m - mean_m
+        weighted_m = weights * deviations_m
+        innovation = deviations_m.T @ weighted_m + variance_m2 * np.eye(m)
+        gain = np.linalg.solve(innovation, weighted_m.T @ deviations).T
         after = mean + gain @ (step.d_feature_m - mean_m)
         # The covariance of what the gain leaves of the points: P - K S K' in Joseph's form,
         # whose terms are squares, where the difference would lose its sign to rounding.
-        left = off - off_m @ gain.T
+        left = deviations - deviations_m @ gain.T
         spread = left.T @ (weights * left) + variance_m2 * (gain @ gain.T)
         return after.reshape(jacobian.shape), 0.5 * (spread + spread.T)
 
@@ -268,8 +268,8 @@ def _row_update(
     A sum of squares, which rounding leaves positive.
     """
     moved = step.d_joints_rad
-    seen = covariance @ moved
-    gain = seen / (moved @ seen + noise_variance_m2)
+    covaried = covariance @ moved
+    gain = covaried / (moved @ covaried + noise_variance_m2)
     error_m = step.d_feature_m - jacobian @ moved
     left = np.eye(len(gain)) - np.multiply.outer(gain, moved)
     after = left @ covariance @ left.T + np.multiply.outer(gain * noise_variance_m2, gain)

@@ -94,8 +94,8 @@ class Pairs:
         weights = self._solve(neurons, fitting)
         regressors, motion = self._equations(neurons, *self._draw(held_out, 3000))
         missed, moved = (
-            float(np.sqrt(np.mean(np.sum(one**2, axis=1))))
-            for one in (regressors @ weights - motion, motion)
+            float(np.sqrt(np.mean(np.sum(motions**2, axis=1))))
+            for motions in (regressors @ weights - motion, motion)
         )
         errors = {
             "pair_error_m": missed,
@@ -205,9 +205,9 @@ class Pairs:
 
 
 def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places in [0, 1] and their shares."""
-    places, shares = np.polynomial.legendre.leggauss(nodes)
-    return 0.5 * (places + 1.0), 0.5 * shares
+    """Places in [0, 1] and their weights."""
+    nodes_at, weights = np.polynomial.legendre.leggauss(nodes)
+    return 0.5 * (nodes_at + 1.0), 0.5 * weights
 
 
 def line_regressors(neurons: Neurons, start: np.ndarray, end: np.ndarray, nodes: int) -> np.ndarray:
@@ -217,8 +217,8 @@ def line_regressors(neurons: Neurons, start: np.ndarray, end: np.ndarray, nodes:
     """
     motion = end - start
     total = np.zeros((len(start), *neurons[1].shape))
-    for place, share in zip(*quadrature(nodes), strict=True):
-        total += share * rbf_features(*neurons, start + place * motion)
+    for node, weight in zip(*quadrature(nodes), strict=True):
+        total += weight * rbf_features(*neurons, start + node * motion)
     total *= motion[:, :, None]
     return total.reshape(len(start), -1)
 

@@ -195,23 +195,23 @@ def _joints_seen(data: DataSet, offset_s: float) -> np.ndarray:
 # ---- what a user should know ----------------------------------------------------------------
 
 
-def _figures(fit: ChainFit, model: RbfModel, places: np.ndarray) -> dict[str, Any]:
+def _figures(fit: ChainFit, model: RbfModel, joints_rad: np.ndarray) -> dict[str, Any]:
     """Figures of a fit for the model file, without unknown ones (a model file holds no NaN)."""
     weights = fit.weights[:, None]
-    truth = weights * fit.chain.jacobian(places)
-    error = np.linalg.norm(weights * model.jacobian(places) - truth, axis=(1, 2))
+    truth = weights * fit.chain.jacobian(joints_rad)
+    error = np.linalg.norm(weights * model.jacobian(joints_rad) - truth, axis=(1, 2))
     names = ("misfit", "residual_m", "noise_m", "ray_noise_m", "lateral_noise_m", "time_offset_s")
     counts = ("time_offset_deviation_s", "outliers", "samples")
-    found = {name: getattr(fit, name) for name in (*names, *counts)}
-    deviation = fit.jacobian_deviation(places[: _JUDGED // 10])
-    found["jacobian_deviation"] = float(np.median(deviation))
-    found["distillation_error"] = float(np.median(error / np.linalg.norm(truth, axis=(1, 2))))
-    return {name: value for name, value in found.items() if math.isfinite(value)}
+    figures = {name: getattr(fit, name) for name in (*names, *counts)}
+    deviation = fit.jacobian_deviation(joints_rad[: _JUDGED // 10])
+    figures["jacobian_deviation"] = float(np.median(deviation))
+    figures["distillation_error"] = float(np.median(error / np.linalg.norm(truth, axis=(1, 2))))
+    return {name: value for name, value in figures.items() if math.isfinite(value)}
 
 
 def _chain_faults(fit: ChainFit, deviation: float) -> list[str]:
     """Why a chain is not to be trusted, in words; the most important first."""
-    unknown, off = math.isnan(fit.noise_m), f"{1e3 * fit.residual_m:.1f} mm"
+    unknown, distance = math.isnan(fit.noise_m), f"{1e3 * fit.residual_m:.1f} mm"
     faults = (
         f"the images seem to be stamped {1e3 * MAX_OFFSET_S:.0f} ms "
         f"{'late' if fit.time_offset_s > 0.0 else 'early'} or more: do not trust this fit; "
@@ -219,10 +219,10 @@ def _chain_faults(fit: ChainFit, deviation: float) -> list[str]:
         if fit.offset_at_limit
         else "",
         "whether the ball moves on a rigid chain cannot be told: images are "
-        f"{off} off it; collect with five images a second or more"
+        f"{distance} off it; collect with five images a second or more"
         if unknown and not fit.is_chain
         else "",
-        f"the ball does not move on a rigid chain: images are {off} off, "
+        f"the ball does not move on a rigid chain: images are {distance} distance, "
         f"noise explains {1e3 * fit.noise_m:.1f} mm; check that nothing moved the camera or the "
         "ball on its tool, check joint names and signs, or train with another method"
         if not unknown and not fit.is_chain

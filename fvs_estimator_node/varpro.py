@@ -57,14 +57,16 @@ def refine(
         for i in range(len(widths))
     ]
     adam = torch.optim.Adam(
-        [one for variables in networks for one in variables], lr=learning_rate, betas=_BETAS
+        [variable for network in networks for variable in network],
+        lr=learning_rate,
+        betas=_BETAS,
     )
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, iterations)
-    places, shares = quadrature
+    nodes, node_weights = quadrature
     for iteration in range(1, iterations + 1):
         start, end, motion = (torch.from_numpy(np.ascontiguousarray(a)) for a in draw())
         adam.zero_grad()
-        _relative_squared_error(networks, start, end, motion, places, shares, ridge).backward()
+        _relative_squared_error(networks, start, end, motion, nodes, node_weights, ridge).backward()
         adam.step()
         schedule.step()
         with torch.no_grad():
@@ -78,8 +80,8 @@ def _relative_squared_error(
     start: torch.Tensor,
     end: torch.Tensor,
     motion: torch.Tensor,
-    places: np.ndarray,
-    shares: np.ndarray,
+    nodes: np.ndarray,
+    node_weights: np.ndarray,
     ridge: float,
 ) -> torch.Tensor:
     """Squared error over squared motion, with the best weights for the present neurons."""
@@ -87,12 +89,12 @@ def _relative_squared_error(
     columns = []
     for i, (centres, log_widths) in enumerate(networks):
         integral = torch.zeros((), dtype=motion.dtype)
-        for place, share in zip(places.tolist(), shares.tolist(), strict=True):
-            points = start + place * joint_motion
+        for node, node_weight in zip(nodes.tolist(), node_weights.tolist(), strict=True):
+            points = start + node * joint_motion
             # (|r - u| / delta)^2 of eq. (8), shape (p, k)
             squares = (points**2).sum(1, keepdim=True) + (centres**2).sum(1)
             squares = (squares - 2.0 * points @ centres.T) * torch.exp(-2.0 * log_widths)
-            integral = integral + share * torch.exp(-squares)
+            integral = integral + node_weight * torch.exp(-squares)
         columns.append(integral * joint_motion[:, i : i + 1])
     regressors = torch.cat(columns, dim=1)
     with torch.no_grad():
