@@ -1,5 +1,7 @@
 """Simulated time is lock step: a busy machine makes it slower, never wrong."""
 
+import signal
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -98,9 +100,7 @@ class SlowSimulator:
         ("fvs_estimator_node.collector_node", "fvs_collector_node"),
     ],
 )
-def test_who_commands_answers_each_joint_state_once_however_slowly_they_come(
-    ros_test, module, name
-):
+def test_who_commands_answers_each_joint_state_once_and_ctrl_c_leaves_zeros(ros_test, module, name):
     own = (
         {"autostart": True}
         if name == "fvs_controller_node"
@@ -129,4 +129,7 @@ def test_who_commands_answers_each_joint_state_once_however_slowly_they_come(
     ros_test.spin_for(0.3)
     assert len(simulator.commands) == count + 3
     assert {ros.from_status(one)["state"] for one in statuses[told:]} <= {"MOVING", "SERVOING"}
-    assert ros_test.stop(node) == 0
+    assert np.any(simulator.commands[-1].data)
+    assert ros_test.stop(node, signal.SIGINT) == 0
+    ros_test.spin_for(0.2)
+    assert not np.any(simulator.commands[-1].data)
