@@ -192,8 +192,6 @@ def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
     """
     depth, remaining = blob.depths(scene.depth_m)
     radius_m, balls = scene.radius_m, []
-    # Depth is often lost at edges: close the resulting gaps in the outline.
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     for _ in range(4):  # layers; with only two, one ball in forty is missed
         values = np.sort(depth[remaining])
         if len(values) < ACCEPT.pixels:
@@ -207,7 +205,7 @@ def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
             break
         mask = np.zeros_like(scene.mask)
         part = mask[blob.box.part]
-        part[:] = cv2.morphologyEx(255 * layer.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
+        part[:] = 255 * layer.astype(np.uint8)
         for piece in _blobs(part, blob.box.u0, blob.box.v0):
             ball = _evaluate(piece, replace(scene, mask=mask))
             if isinstance(ball, BallDetection):
