@@ -127,8 +127,9 @@ class Promises:
             most = TICK_S * world.values["max_joint_velocity_rad_s"] * world.limits.share
             near = np.all(np.abs(to - start) <= most + ROUNDING)
             keep("a position is a step away", near or not active, to, start)
-            low = np.minimum(world.limits.lower_rad, np.minimum(start, world.joints)) - ROUNDING
-            high = np.maximum(world.limits.upper_rad, np.maximum(start, world.joints)) + ROUNDING
+            known = start, world.node._joints if world.node._joints is not None else start
+            low = np.minimum(world.limits.lower_rad, np.min(known, axis=0)) - ROUNDING
+            high = np.maximum(world.limits.upper_rad, np.max(known, axis=0)) + ROUNDING
             inside = np.all((low <= to) & (to <= high))
             keep("a position is in range", inside or not active, to, start)
             world.goes_to = to if active else None
