@@ -217,6 +217,7 @@ class CollectionRun:
             if motion.done(self._moved_s, joints) or over_s > GIVE_UP_S:
                 self.state, self.reason = State.DONE, "finished"
                 return None
+            self.state, self.reason = State.RETURNING, "back to where it began"
         elif lost:
             motion.return_home()
             self._wait(now_s, State.RETURNING, lost)

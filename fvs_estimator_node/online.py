@@ -159,7 +159,8 @@ class OnlineEstimator(Estimator):
     @property
     def problem(self) -> str:
         """Why there is no estimate yet: a zero Jacobian that has seen no motion is none."""
-        if self._model is None and self.updates == 0:
+        from_zero = self._model is None or self.config.initial == FROM_ZERO
+        if from_zero and self.updates == 0:
             return "it starts from zero and has seen no motion; move the arm by other means"
         return ""
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.chain_fit import ChainFit, fit_chain
+from fvs_estimator_node.chain_fit import ChainFit, fit_chain, inliers
 from fvs_estimator_node.files import DataSet, TrainedModel, range_of
 from fvs_estimator_node.joint_path import MAX_OFFSET_S, STILL_RAD
 from fvs_estimator_node.pairs import Pairs, Progress, TrainingError, ridge_weights
@@ -150,7 +150,9 @@ def _networks(
         say("training the networks")
     if pairs is None:
         assert fit is not None
-        trained_on = range_of(data.joints_rad, data.z, rng)
+        z = weights * data.z
+        good = inliers(weights * fit.chain.position(data.joints_rad) - z, z)
+        trained_on = range_of(data.joints_rad[good], data.z[good], rng)
         return distil(fit.chain, trained_on["joint_box_rad"], options.count, rng), trained_on, {}
     pairs.joints = _joints_seen(data, fit.time_offset_s if fit is not None else 0.0)
     iterations = options.iterations if options.method == "varpro" else 0

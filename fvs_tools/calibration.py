@@ -13,9 +13,11 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from fvs_estimator_node import joint_path
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.joint_path import MAX_OFFSET_S
 from fvs_ros.rotations import quaternion_from_rotation
+from fvs_ros.timeline import MAX_GAP_S
 from fvs_ros.urdf import Kinematics
 from fvs_ros.vectors import LARGEST, plausible
 from fvs_tools.hand_eye import Estimate, solve
@@ -98,6 +100,11 @@ def _ordered(data: DataSet, arm: Kinematics) -> DataSet:
     least = 2 * (12 + data.kind.numbers) // data.kind.numbers  # twice the start's unknowns
     if len(data) < least:
         raise CalibrationError(f"there are {len(data)} images, expected at least {least}")
+    if len(joint_path.Path(data).indices) < least:
+        raise CalibrationError(
+            f"images follow each other by more than {MAX_GAP_S:g} s: take them faster, or, if the "
+            "arm rests at each, leave out their stamps"
+        )
     return replace(data, joints_rad=joints, joint_names=arm.names)
 
 

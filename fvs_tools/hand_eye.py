@@ -189,8 +189,9 @@ def _optimum(model: HandEyeModel, prior: Unknowns, start: np.ndarray) -> np.ndar
     white = whitening(model.features(start, images) - measured, measured)
     deviation, links = _deviations(model, prior), np.zeros(model.sizes[-1])
     deviation = deviation[: -links.size or None]
-    limit = 10.0 * deviation
-    model.unknowns(np.append(limit, links)).delay_s[:] = MAX_OFFSET_S
+    limit = np.append(10.0 * deviation, links)
+    model.unknowns(limit).delay_s[:] = MAX_OFFSET_S
+    limit = limit[: len(deviation)]
 
     def residuals(values: np.ndarray) -> np.ndarray:
         off = model.features(np.append(values, links), images) - measured

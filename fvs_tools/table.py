@@ -56,6 +56,9 @@ def _read(path: Path) -> tuple[list[str], np.ndarray]:
     with path.open(newline="", encoding="utf-8-sig") as file:
         rows = file.read().rstrip().splitlines()
     names, *lines = [*csv.reader(rows, skipinitialspace=True)] or [[]]
+    names = [name.strip() for name in names]
+    if len(set(names)) < len(names):
+        raise ValueError("the first line names a column twice")
     table = np.full((len(lines), len(names)), np.nan)
     for number, line in enumerate(lines):
         if len(line) != len(names):
@@ -68,7 +71,7 @@ def _read(path: Path) -> tuple[list[str], np.ndarray]:
                     f"line {number + 2}, column {names[column][:60]}: expected a number, got "
                     f"{cell[:60]!r}"
                 ) from None
-    return [name.strip() for name in names], table
+    return names, table
 
 
 def _part(names: Sequence[str], table: np.ndarray, wanted: Sequence[str]) -> np.ndarray:

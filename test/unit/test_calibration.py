@@ -197,9 +197,14 @@ def renamed(data):
     return replace(data, joint_names=("a", *data.joint_names[1:])), ARM
 
 
+def slow(data):
+    return replace(data, stamps_s=15.0 * data.stamps_s, segment=np.arange(len(data))), ARM
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        (slow, "follow each other by more than 0.25 s"),
         (too_short, "no arm with the joints .* explains the images: check tip link"),
         (renamed, "the data lack shoulder_pan_joint"),
         (late, "the images are stamped .0.20 s late, or more"),

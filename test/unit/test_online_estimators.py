@@ -52,7 +52,10 @@ def test_the_jacobian_of_a_linear_plant_is_learned(method):
     rng = np.random.default_rng(1)
     true = rng.normal(size=(3, 6))
     estimator = create_estimator(method, None, {**ZERO, "online.initial_deviation_m_rad": 0.5})
+    for untaught in (estimator, create_estimator(method, random_networks(), ZERO)):
+        assert "it starts from zero" in untaught.problem
     learned = learn(estimator, random_steps(rng, 1000, true))
+    assert not estimator.problem
     assert np.linalg.norm(learned - true) < 1e-3 * np.linalg.norm(true)
     assert estimator.updates == 1000
 

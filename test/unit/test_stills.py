@@ -144,6 +144,7 @@ def test_a_table_of_hand_poses_needs_no_urdf_and_no_common_clock(tmp_path):
         ("a,x,y\n1,2,3", "no column z"),
         ("x,y,z\n1,2,3", "of a joint"),
         ("a,x,y,z\n1,2,3", "line 2 has 3 cells"),
+        ("a,a,x,y,z\n1,2,3,4,5", "names a column twice"),
         ("a,x,y,z\n1,2,,4", "line 2 lacks a number"),
         ("a,x,y,z\n1,2,3,4\ninf,2,3,4", "line 3 lacks a number of a"),
         ("stamp_s,a,x,y,z\n1,1,2,3,4\n,1,2,3,4", "line 3 lacks a stamp_s"),

@@ -67,6 +67,9 @@ def test_outliers_are_left_out():
     spoilt = train(replace(data, z=ball), RIDGE)
     assert 0.7 * bad.sum() <= spoilt.errors["outliers"] <= bad.sum() + 5
     assert any("left out" in note for note in spoilt.notes)
+    chain = train(replace(data, z=ball), TrainingOptions(method="poe"))
+    far = ball[np.linalg.norm(ball - data.z, axis=1) > 0.05]
+    assert not np.isin(chain.z_samples, far).any()  # targets are drawn from them
 
 
 def test_data_that_cannot_teach_is_refused():
