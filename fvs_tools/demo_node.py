@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from fvs_estimator_node.files import load_model
 from fvs_ros import ros, topics
-from fvs_ros.joints import JointMap
+from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.paths import find_file
 from fvs_tools import demo
 
@@ -61,7 +61,10 @@ class DemoNode(ros.FvsNode):
 
     def _on_joint_states(self, message: JointState) -> None:
         if self._records:
-            velocity = self._joint_map.positions(message.name, message.velocity)
+            try:
+                velocity = self._joint_map.positions(message.name, message.velocity)
+            except JointStateError:  # of another arm, or without velocities
+                return
             record = self._records[-1]
             moment_s = ros.from_stamp(message.header.stamp) - record.start_s
             record.joints.append((moment_s, velocity))

@@ -1,8 +1,8 @@
 """Scenario files and the table of nodes they may start.
 
 A scenario is a standard ROS parameter file: each top-level key is a node to start, below it
-``ros__parameters``. It therefore serves ``fvs_launch``, ``ros2 launch`` and
-``ros2 run ... --params-file`` alike. A wildcard key ``/**`` holds parameters of all nodes.
+``ros__parameters``. A wildcard key ``/**`` holds parameters of several nodes, each of which takes
+those that it has; without that key ``ros2 run ... --params-file`` takes the file, too.
 """
 
 from __future__ import annotations
@@ -93,6 +93,9 @@ def load_scenario(
     common, loop = sections.pop(ALL_NODES, {}), list(sections)
     if not loop:
         raise ValueError(f"scenario {path} names no node; known are {', '.join(NODE_TABLE)}")
+    for parameter in common:
+        if not any(parameter in _declared(node) for node in (*loop, *NODE_TABLE)):
+            raise ValueError(f"scenario {path}, {ALL_NODES}: no node has a parameter {parameter}")
     if record:
         check_recording(Path(record).expanduser())
         recorder = {**sections.pop(RECORDER, {}), "bag_dir": record, "images": images}

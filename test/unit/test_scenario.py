@@ -55,6 +55,10 @@ def test_a_wrong_command_line_is_refused_in_words(name, overrides, scheme_name, 
         ("- a\n- b\n", "must map node names"),
         ("fvs_sim_node: {ros__parameters: {}, more: 1}\n", "and nothing else"),
         ("some_node: {ros__parameters: {}}\n", "unknown node .* known are fvs_sim_node"),
+        (
+            "/**: {ros__parameters: {feature_frme: a}}\nfvs_sim_node: {ros__parameters: {}}\n",
+            "no node has a parameter feature_frme",
+        ),
     ],
 )
 def test_a_file_that_is_no_scenario_is_refused_in_words(tmp_path, text, words):
