@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.collecting import CollectorConfig
 from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.joint_path import Path
 from fvs_lab import experiment as lab
 from fvs_lab.arms import collect
 from fvs_lab.results import METRICS, Results
@@ -139,7 +140,7 @@ def least_squares_pose(
     measured = np.array([Pose(0.3).of_body(position, rotation) for rotation, position in boards])
     poses = np.arange(TAUGHT)
     data = DataSet(poses, reported_rad, measured, poses, arm().names, still=True, feature=Pose.name)
-    model = HandEyeModel(data, arm(), *registration(arm(), reported_rad, measured))
+    model = HandEyeModel(data, Path(data), arm(), *registration(arm(), reported_rad, measured))
 
     def unknowns(values: np.ndarray) -> np.ndarray:
         """Those of the model: camera, board, and all zeros but the first; the rest is exact."""

@@ -133,12 +133,12 @@ def solve(data: DataSet, arm: Kinematics, prior: Unknowns = PRIOR) -> Estimate:
     prior : Unknowns
         Standard deviations of each part of the unknowns.
     """
-    delays_s = (0.0,) if data.still else _STARTS_S
-    starts = [_start(data, arm, delay_s) for delay_s in delays_s]
+    path, delays_s = Path(data), (0.0,) if data.still else _STARTS_S
+    starts = [_start(data, path, arm, delay_s) for delay_s in delays_s]
     model, values, _ = min(starts, key=lambda start: start[2])
     values = _optimum(model, prior, values)
     unknowns = model.unknowns(values)
-    model = HandEyeModel(data, arm, *model.poses(unknowns))
+    model = HandEyeModel(data, path, arm, *model.poses(unknowns))
     values[: model.sizes[0] + model.sizes[1]] = 0.0
     for _ in range(_ROUNDS):
         values, covariance, good, evidence = _posterior(model, prior, values)
@@ -156,12 +156,11 @@ def solve(data: DataSet, arm: Kinematics, prior: Unknowns = PRIOR) -> Estimate:
 
 
 def _start(
-    data: DataSet, arm: Kinematics, delay_s: float
+    data: DataSet, path: Path, arm: Kinematics, delay_s: float
 ) -> tuple[HandEyeModel, np.ndarray, float]:
     """Model and unknowns with a delay of the images, s, and their median residual, m."""
-    path = Path(data)
     joints = path.joints_and_velocities(delay_s)[0]
-    model = HandEyeModel(data, arm, *registration(arm, joints, data.z[path.indices]))
+    model = HandEyeModel(data, path, arm, *registration(arm, joints, data.z[path.indices]))
     values = np.zeros(sum(model.sizes))
     model.unknowns(values).delay_s[:] = delay_s
     off_m = (model.features(values) - model.measured)[:, :3]

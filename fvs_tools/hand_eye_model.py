@@ -47,6 +47,8 @@ class HandEyeModel:
     ----------
     data : DataSet
         With the joints of the arm, in its order.
+    path : Path
+        Its joints at any time, and the images that count.
     arm : Kinematics
         From the URDF.
     base_from_camera : ndarray, shape (4, 4)
@@ -56,9 +58,14 @@ class HandEyeModel:
     """
 
     def __init__(
-        self, data: DataSet, arm: Kinematics, base_from_camera: np.ndarray, target: np.ndarray
+        self,
+        data: DataSet,
+        path: Path,
+        arm: Kinematics,
+        base_from_camera: np.ndarray,
+        target: np.ndarray,
     ) -> None:
-        self.data, self.arm, self.kind, self.path = data, arm, data.kind, Path(data)
+        self.data, self.arm, self.kind, self.path = data, arm, data.kind, path
         self._base_from_camera, self._target = base_from_camera, target
         #: What the images show, (k, m).
         self.measured = data.z[self.path.indices]
