@@ -131,6 +131,8 @@ class Harness:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.processes: list[subprocess.Popen] = []
+        #: Where processes write instead of into their log: a file descriptor.
+        self.sink: int | None = None
         self._others = beside.processes if beside else []
         self._kept: dict[str, subprocess.Popen] = {}
         self._clients: dict[str, Any] = {}
@@ -148,7 +150,7 @@ class Harness:
         with path.open("w", encoding="utf-8") as log:
             process = subprocess.Popen(
                 [sys.executable, "-m", module, *arguments],
-                stdout=log,
+                stdout=log if self.sink is None else self.sink,
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,
                 env=self.environment,

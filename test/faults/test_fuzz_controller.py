@@ -18,6 +18,8 @@ from bench.bench_mutants import MUTANTS, SCRIPTS, do
 from bench.fuzz_promises import Promises
 from bench.fuzz_world import BALL, FRESH_TICKS, JOINT_STATES, World
 from fvs_controller_node.reasons import Reason
+from fvs_ros import ros
+from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.interface import POSITION
 from fvs_ros.ros import commands
 
@@ -79,7 +81,7 @@ def test_a_controller_that_lacks_a_row_of_the_safety_table_is_found_out(mutant):
 def test_every_row_of_the_safety_table_is_promised():
     table = README.read_text().split("| when | the arm |")[1].split("\n\n")[0]
     rows = [line.strip("| ") for line in table.splitlines()[2:]]
-    known = (*(one.row for one in MUTANTS), *bench_mutants.ELSEWHERE)
+    known = (*(mutant.row for mutant in MUTANTS), *bench_mutants.ELSEWHERE)
     assert [begin for begin in known if not any(row.startswith(begin) for row in rows)] == []
     assert [row for row in rows if not row.startswith(known)] == []
 
@@ -153,6 +155,20 @@ def test_joint_states_of_another_arm_lead_away_no_position_that_is_held():
     np.testing.assert_allclose(world.goes_to, held, atol=1e-9)
 
 
+def test_a_target_is_heard_again_but_the_same_latched_message_not_twice():
+    world = World()
+    world.run(FRESH_TICKS)
+    for stamp_s, counts_again in ((0.0, True), (world.ros_s, False)):
+        target_m = world.ball() + [0.1, 0.0, 0.0]
+        message = ros.to_point(stamp_s, CAMERA_FRAME, target_m)
+        world.node._on_target(message)
+        np.testing.assert_array_equal(world.target_m, target_m)
+        world.run(100)  # longer than an echo takes
+        assert world.node.call("~/set_current_as_target")[0]
+        world.node._on_target(message)
+        assert np.array_equal(world.target_m, target_m) is counts_again
+
+
 # ---- a driver that checks limits in its own cycle ------------------------------------------------
 
 CYCLE_S = 0.001
@@ -168,7 +184,7 @@ def driven(interface="velocity"):
     """A world at 1 kHz, servoing, and what is sent in it from then on."""
     world = World({**DRIVER, "command_interface": interface})
     sent = []
-    world.judge = lambda *_: sent.extend(np.array(one.data) for one in world.wire)
+    world.judge = lambda *_: sent.extend(np.array(command.data) for command in world.wire)
     world.run(FRESH_TICKS, steady_s=CYCLE_S)
     world.send_target(world.ball() + world.true @ np.full(6, 0.3))
     world.start()

@@ -3,8 +3,6 @@
 import contextlib
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -15,55 +13,28 @@ from test_controller_faults import RAMP_S, TARGETS_M, Bench
 from fvs_ros import topics
 
 
-def starts_on(harness, monkeypatch, sink):
-    """Have the harness start its processes with all their output into ``sink``."""
-
-    def start(module, *arguments):
-        process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
-            stdout=sink,
-            stderr=sink,
-            stdin=subprocess.DEVNULL,
-            env=harness.environment,
-            cwd=harness.folder,
-        )
-        process.log_path = harness.folder / "nothing.log"
-        process.log_path.touch()
-        harness.processes.append(process)
-        return process
-
-    monkeypatch.setattr(harness, "start", start)
-
-
-def full_pipe():
-    """A pipe that holds all it can."""
+@pytest.fixture
+def full_pipe(ros_test):
+    """A harness whose processes write into a full pipe that no process reads."""
     source, sink = os.pipe()
     os.set_blocking(sink, False)
     with contextlib.suppress(BlockingIOError):
         while True:
             os.write(sink, b"." * 4096)
     os.set_blocking(sink, True)
-    return source, sink
-
-
-@pytest.fixture
-def deaf(ros_test, monkeypatch):
-    """A harness whose processes write into a full pipe that no process reads."""
-    source, sink = full_pipe()
-    starts_on(ros_test, monkeypatch, sink)
+    ros_test.sink = sink
     yield ros_test
     os.close(source)
     os.close(sink)
 
 
 @pytest.fixture
-def left(ros_test, monkeypatch):
+def broken_pipe(ros_test):
     """A harness whose processes write into a pipe whose reader has gone."""
-    source, sink = os.pipe()
+    source, ros_test.sink = os.pipe()
     os.close(source)
-    starts_on(ros_test, monkeypatch, sink)
     yield ros_test
-    os.close(sink)
+    os.close(ros_test.sink)
 
 
 def assert_zeros_last(bench):
@@ -83,9 +54,9 @@ def handling(number, handler):
         signal.signal(number, before)
 
 
-def test_a_blocked_terminal_under_nohup_holds_neither_the_zeros_nor_the_end(deaf):
+def test_a_blocked_terminal_under_nohup_holds_neither_the_zeros_nor_the_end(full_pipe):
     with handling(signal.SIGHUP, signal.SIG_IGN):
-        bench = Bench(deaf)
+        bench = Bench(full_pipe)
     bench.servo()
     bench.process.send_signal(signal.SIGHUP)  # ignored, and stays so
     for _ in range(2):  # back and forth: each change is a line in the log
@@ -93,7 +64,7 @@ def test_a_blocked_terminal_under_nohup_holds_neither_the_zeros_nor_the_end(deaf
         bench.assert_stops(time.time(), 0.2 + RAMP_S)
         bench.robot.silent.clear()
         bench.wait(bench.robot.moving, what="motion again")
-    assert deaf.stop(bench.process) == 0
+    assert full_pipe.stop(bench.process) == 0
     assert_zeros_last(bench)
 
 
@@ -112,9 +83,9 @@ def test_what_would_suspend_does_not_and_a_hangup_leaves_zeros_on_the_wire(ros_t
     bench.wait(lambda: bench.reason() == "SHUT_DOWN", 2.0, "the last word")
 
 
-def test_the_launcher_outlives_its_reader_also_in_a_namespace(left):
-    commands = left.collect(Float64MultiArray, f"arm/{topics.COMMANDS.name}")
-    process = left.start("fvs_tools.launcher", "servo", "--namespace", "arm")
-    left.spin_until(lambda: len(commands) > 100, 30.0, "commands")
+def test_the_launcher_outlives_its_reader_also_in_a_namespace(broken_pipe):
+    commands = broken_pipe.collect(Float64MultiArray, f"arm/{topics.COMMANDS.name}")
+    process = broken_pipe.start("fvs_tools.launcher", "servo", "--namespace", "arm")
+    broken_pipe.spin_until(lambda: len(commands) > 100, 30.0, "commands")
     assert process.poll() is None
-    assert left.stop(process) == 0
+    assert broken_pipe.stop(process) == 0

@@ -131,16 +131,6 @@ def test_each_missing_input_is_named_in_turn(watched):
     watched.wait_for("LOST", "out of view")
 
 
-def test_images_arrive_of_a_publisher_that_is_not_reliable(watched):
-    PlayedCamera(watched.harness, ros.QOS_NEWEST)
-    for message in watched.wait_for_balls():
-        np.testing.assert_allclose(position(message), CENTRE, atol=2e-3)
-        assert message.header.frame_id == FRAME
-    watched.wait_for("TRACKING")
-    assert float(watched.value("quality")) > 0.8
-    assert float(watched.value("processing_ms")) > 0.0
-
-
 def test_depth_that_is_not_registered_is_refused(watched):
     camera = PlayedCamera(watched.harness)
     camera.depth_frame = "camera_depth_optical_frame"
@@ -156,42 +146,22 @@ def test_depth_that_is_not_registered_is_refused(watched):
     watched.wait_for("TRACKING")
 
 
-def test_another_cameras_names_compressed_images_and_late_stamps(ros_test):
+def test_another_cameras_names_compressed_and_lossy_images_and_late_stamps(ros_test):
     watched, delay_s = Watched(ros_test), 0.08
-    camera = PlayedCamera(ros_test, compressed=True, prefix="/cell/eye")
+    camera = PlayedCamera(ros_test, ros.QOS_NEWEST, compressed=True, prefix="/cell/eye")
     given = {"camera_topics": "/cell/eye", "compressed_images": True}
     ros_test.start_node(NODE, stamp_delay_s=delay_s, **given)
     last = watched.wait_for_balls()[-1]
     np.testing.assert_allclose(position(last), CENTRE, atol=0.004)
+    assert last.header.frame_id == FRAME
     behind_s = (camera.stamp_s - ros.from_stamp(last.header.stamp)) % camera.period_s
     ahead_s = (behind_s - delay_s) % camera.period_s
     assert min(ahead_s, camera.period_s - ahead_s) < 1e-5
 
 
-def test_it_agrees_with_the_simulators_own_detection(ros_test):
-    watched = Watched(ros_test)
-    expected = ros_test.collect(PointStamped, "sim_ball")
-    ros_test.start_node(NODE, use_sim_time=True)
-    small = {"image_width": 320, "image_height": 240, "depth_noise": 0.0}
-    remaps = {Ball.topics.tool.name: "sim_ball"}
-    ros_test.start_node("fvs_sim_node.node", remaps, simulated_time=True, **small)
-
-    def stamp(message):
-        return (message.header.stamp.sec, message.header.stamp.nanosec)
-
-    def compared():
-        known = {stamp(message): position(message) for message in expected}
-        return [(position(m), known[stamp(m)]) for m in watched.balls if stamp(m) in known]
-
-    ros_test.spin_until(lambda: len(compared()) >= 10, PATIENCE_S, "positions at the same stamps")
-    for found, own in compared():
-        np.testing.assert_allclose(found, own, atol=5e-4)  # depth in whole millimetres
-    assert watched.balls[-1].header.frame_id == FRAME
-
-
 def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
     detector = ros_test.start_node(NODE, feature="pose", tag_id=7, tag_size_m=0.06)
-    watched, place = Watched(ros_test), np.array([0.02, 0.01, 0.4])
+    watched, tag_m = Watched(ros_test), np.array([0.02, 0.01, 0.4])
     poses = ros_test.collect(PoseStamped, Pose.topics.tool.name)
     rotation = cv2.Rodrigues(np.array([0.5, 0.0, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
     camera = PlayedCamera(ros_test)
@@ -199,14 +169,14 @@ def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
     watched.wait_for("WAITING", "no camera_info")
     camera.calibrated = True
     watched.wait_for("LOST", "tag 7 of APRILTAG_36h11 is not in view")
-    camera.rgb = drawn_tags.draw([(7, rotation, place)], QVGA)
+    camera.rgb = drawn_tags.draw([(7, rotation, tag_m)], QVGA)
     watched.wait_for("TRACKING", "tool_pose is published")
     ros_test.spin_until(lambda: len(poses) > 3, what="poses")
     tag = Pose().read(poses[-1])
-    assert np.linalg.norm(tag[:3] - place) < 5e-3
+    assert np.linalg.norm(tag[:3] - tag_m) < 5e-3
     np.testing.assert_allclose(Pose().rotation(tag), rotation, atol=0.1)
     assert poses[-1].header.frame_id == FRAME
-    camera.rgb = drawn_tags.draw([(7, rotation, place + [x, 0, 0]) for x in (-0.1, 0.1)], QVGA)
+    camera.rgb = drawn_tags.draw([(7, rotation, tag_m + [x, 0, 0]) for x in (-0.1, 0.1)], QVGA)
     watched.wait_for("LOST", "2 tags have the number 7")
     assert not watched.balls
     assert ros_test.stop(detector) == 0

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from fvs_ros.paths import program
 from fvs_tools.scenario import NODE_TABLE
 
 MODULE, SERVO = "fvs_tools.launcher", "fvs_tools.servo_node"
+RECORD = ("--record", "bag", "--record-without-images")
 EXECUTABLES = dict(
     re.findall(
         r'"(fvs_\w+)=([\w.]+):main"',
@@ -37,11 +39,12 @@ def alive(pid):
     return True
 
 
-def test_ctrl_c_in_motion_ends_all_with_zeros_last(ros_test):
+def test_ctrl_c_in_motion_ends_all_with_zeros_last_also_in_the_recording(ros_test):
+    replay = pytest.importorskip("fvs_lab.replay")
     commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
     target = ros_test.node.create_publisher(PointStamped, Ball.topics.target.name, ros.QOS_LATCHED)
     truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
-    process = ros_test.start(MODULE, "servo")
+    process = ros_test.start(MODULE, "servo", *RECORD)
     ros_test.spin_until(lambda: bool(truths), 30.0, "the simulator")
     ball = truths[-1].point
     point = np.array([ball.x - 0.1, ball.y - 0.1, ball.z - 0.2])
@@ -50,11 +53,14 @@ def test_ctrl_c_in_motion_ends_all_with_zeros_last(ros_test):
         lambda: commands and max(np.abs(commands[-1].data)) > 0.3, 20.0, "the arm to move"
     )
     nodes = children(process.pid)
-    assert len(nodes) == 3
+    assert len(nodes) == 4
     assert ros_test.stop(process, signal.SIGINT) == 0, ros_test.output(process)
     ros_test.spin_for(0.2)
     assert not np.any([m.data for m in commands[-3:]])
     assert not any(alive(pid) for pid in nodes)
+    recorded = replay.read(ros_test.folder / "bag").series["velocities"].values
+    assert np.abs(recorded).max() > 0.3
+    assert not recorded[-3:].any()
 
 
 def test_nothing_in_the_current_folder_is_run_and_a_killed_launcher_leaves_nothing(
@@ -110,10 +116,19 @@ def command_line(pid):
     return Path(f"/proc/{pid}/cmdline").read_text()
 
 
-def test_a_node_that_dies_brings_all_down_and_is_named(ros_test):
-    process = ros_test.start(MODULE, "servo")
+def test_a_recorder_that_gives_up_stops_nothing_and_a_node_that_dies_all(ros_test):
+    pytest.importorskip("rosbags")
+    process = ros_test.start(MODULE, "servo", *RECORD)
     truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
-    ros_test.spin_until(lambda: bool(truths), 30.0, "the simulator")
+    ros_test.spin_until(lambda: len(truths) > 10, 30.0, "the simulator")
+    shutil.rmtree(ros_test.folder / "bag")
+    words = "fvs_recorder_node ended with exit code 1: the others go on"
+    ros_test.spin_until(lambda: words in ros_test.output(process), 30.0, "the recorder's end")
+    output = ros_test.output(process)
+    assert "recording into bag has ended: No such file or directory" in output
+    assert "Traceback" not in output
+    truths.clear()
+    ros_test.spin_until(lambda: len(truths) > 10, 30.0, "the simulator")
     nodes = children(process.pid)
     estimator = next(pid for pid in nodes if "fvs_estimator_node" in command_line(pid))
     os.kill(estimator, signal.SIGKILL)

@@ -4,8 +4,8 @@ import signal
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
+from harness import Statuses
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -21,45 +21,31 @@ JACOBIAN = np.array(
 )
 
 
-def test_the_simulator_waits_for_a_slow_answer_to_each_joint_state(ros_test):
-    ros_test.start_node("fvs_sim_node.node", simulated_time=True)
-    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
-    commands = ros_test.publisher(Float64MultiArray, topics.COMMANDS.name)
-    ros_test.spin_until(lambda: len(states) > 0)
-    stamps_s = []
-    for _ in range(4):
-        count = len(states)
-        commands.publish(Float64MultiArray(data=[0.0] * 6))
-        ros_test.spin_until(lambda count=count: len(states) > count, what="the next joint state")
-        ros_test.spin_for(0.3)
-        assert len(states) == count + 1 or not stamps_s
-        stamps_s.append(ros.from_stamp(states[-1].header.stamp))
-    assert np.diff(stamps_s[1:]) == pytest.approx(STEP_S)
-    # From who answers no more, nothing is awaited.
-    ros_test.spin_until(lambda: len(states) > count + 100, what="the simulator to go on alone")
-
-
-@pytest.mark.parametrize(
-    ("topic", "message", "behind_s"),
-    [
-        (topics.JACOBIAN, ros.to_jacobian(JACOBIAN), 0.1),
-        (Ball.topics.tool, ros.to_point(1.0, "camera", np.zeros(3)), 0.15),
-    ],
-    ids=["estimator", "detector"],
-)
-def test_the_simulator_waits_for_a_node_that_is_far_behind(ros_test, topic, message, behind_s):
+def test_the_simulator_waits_for_a_command_to_each_joint_state_and_for_nodes_far_behind(ros_test):
     ros_test.start_node("fvs_sim_node.node", simulated_time=True, publish_ball_position=False)
     states = ros_test.collect(JointState, topics.JOINT_STATES.name)
-    answers = ros_test.publisher(type(message), topic.name)
     ros_test.spin_until(lambda: len(states) > 0)
-    for _ in range(2):
+
+    def stamp_s():
+        return ros.from_stamp(states[-1].header.stamp)
+
+    for topic, message, behind_s in (
+        (topics.COMMANDS, ros.to_command(np.zeros(6)), 0.008),
+        (topics.JACOBIAN, ros.to_jacobian(JACOBIAN), 0.1),
+        (Ball.topics.tool, ros.to_point(1.0, "camera", np.zeros(3)), 0.15),
+    ):
+        answers = ros_test.publisher(type(message), topic.name)
         answers.publish(message)
-        ros_test.spin_for(0.3)
-    first_s = ros.from_stamp(states[-1].header.stamp)
-    answers.publish(message)
-    ros_test.spin_for(0.3)
-    passed_s = ros.from_stamp(states[-1].header.stamp) - first_s
-    assert passed_s == pytest.approx(behind_s, abs=1.01 * STEP_S)
+        ros_test.spin_for(0.5)
+        for _ in range(2):
+            before_s = stamp_s()
+            answers.publish(message)
+            ros_test.spin_until(lambda b=before_s, late=behind_s: stamp_s() > b + late - 1e-6)
+            ros_test.spin_for(0.3)
+            assert stamp_s() < before_s + behind_s + STEP_S
+        # From a node that responds no more, nothing is awaited.
+        count = len(states)
+        ros_test.spin_until(lambda n=count: len(states) > n + 100, what="the simulator to go on")
 
 
 class SlowSimulator:
@@ -94,41 +80,37 @@ class SlowSimulator:
 
 
 @pytest.mark.parametrize(
-    ("module", "name"),
+    ("name", "module"),
     [
-        ("fvs_controller_node.node", "fvs_controller_node"),
-        ("fvs_estimator_node.collector_node", "fvs_collector_node"),
+        (topics.CONTROLLER, "fvs_controller_node.node"),
+        (topics.COLLECTOR, "fvs_estimator_node.collector_node"),
     ],
 )
-def test_who_commands_answers_each_joint_state_once_and_ctrl_c_leaves_zeros(ros_test, module, name):
-    own = (
-        {"autostart": True}
-        if name == "fvs_controller_node"
-        else {"output_path": str(ros_test.folder / "part.npz")}
-    )
+def test_who_commands_answers_each_joint_state_once_and_ctrl_c_leaves_zeros(ros_test, name, module):
+    servoes = name == topics.CONTROLLER
+    own = {"autostart": True} if servoes else {"output_path": ros_test.folder / "part.npz"}
     node = ros_test.start_node(module, use_sim_time=True, **own)
-    statuses = ros_test.collect(DiagnosticStatus, f"{name}/status", ros.QOS_EVERY)
-    targets = ros_test.publisher if name == "fvs_controller_node" else None
+    watched = Statuses(ros_test, name, ros.QOS_EVERY)
     simulator = SlowSimulator(ros_test)
-    if targets:
+    if servoes:
         point = ros.to_point(1.0, "camera_color_optical_frame", simulator.ball + 0.1)
-        targets(PointStamped, Ball.topics.target.name, ros.QOS_LATCHED).publish(point)
-
-    def state():
-        return ros.from_status(statuses[-1])["state"] if statuses else ""
+        target = Ball.topics.target.name
+        ros_test.publisher(PointStamped, target, ros.QOS_LATCHED).publish(point)
 
     def moves():
         simulator.step()
-        return state() in ("MOVING", "SERVOING")
+        return watched.value("state") in ("MOVING", "SERVOING")
 
     ros_test.spin_until(moves, what="motion")
-    told, count = len(statuses), len(simulator.commands)
+    watched.statuses.clear()
+    count = len(simulator.commands)
     for _ in range(3):
         ros_test.spin_for(0.3)
         simulator.step()
     ros_test.spin_for(0.3)
     assert len(simulator.commands) == count + 3
-    assert {ros.from_status(one)["state"] for one in statuses[told:]} <= {"MOVING", "SERVOING"}
+    states = {ros.from_status(status)["state"] for status in watched.statuses}
+    assert states <= {"MOVING", "SERVOING"}
     assert np.any(simulator.commands[-1].data)
     assert ros_test.stop(node, signal.SIGINT) == 0
     ros_test.spin_for(0.2)
