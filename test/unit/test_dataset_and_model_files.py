@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import each
 from recordings import ur5_chain
 
 from fvs_estimator_node.files import (
@@ -70,12 +71,10 @@ def rewrite(path, **changes):
         np.savez(stream, **{name: value for name, value in fields.items() if value is not None})
 
 
-def refused(kind, path, words, joint_names=None, **options):
-    with pytest.raises(FileError, match=words) as caught:
-        kind[1](path, joint_names=joint_names, **options)
-    text = str(caught.value)
-    assert str(path) in text
-    assert "\n" not in text.strip()
+def refused(kind, path, words):
+    with pytest.raises(FileError, match=words) as error:
+        kind[1](path)
+    assert str(path) in str(error.value)
 
 
 def test_a_data_set_comes_back_as_it_was(tmp_path):
@@ -122,7 +121,6 @@ def test_fields_that_are_not_as_declared_are_refused(kind, written):
         ({"joint_names": np.array(["a", "a"])}, "expected different names"),
         ({"joint_names": np.array(["a", "b"])}, "has shape|do not fit together"),
         ({"provenance": np.array("[1]")}, "not a JSON object"),
-        ({"feature_frame": np.array(3)}, "'feature_frame' that is not a text"),
     ):
         written.write_bytes(whole)
         rewrite(written, **changes)
@@ -133,7 +131,7 @@ ZERO_AXIS = ur5_chain().axes.copy()
 ZERO_AXIS[2] = 0.0
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "changes", "words"),
     [
         ("data set", {"stamps_s": -np.arange(8.0)}, "do not rise"),
@@ -145,10 +143,10 @@ ZERO_AXIS[2] = 0.0
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, name, changes, words):
-    kind = FILES[name]
-    kind[0](tmp_path / "x.npz", kind[2]())
-    rewrite(tmp_path / "x.npz", **changes)
-    refused(kind, tmp_path / "x.npz", words)
+    kind, path = FILES[name], tmp_path / "x.npz"
+    kind[0](path, kind[2]())
+    rewrite(path, **changes)
+    refused(kind, path, words)
 
 
 def test_pickles_are_not_opened(kind, written, tmp_path):

@@ -7,7 +7,6 @@ from pathlib import Path
 from cases import each
 
 from fvs_controller_node.reasons import Reason
-from fvs_lab.report import EXPERIMENTS
 from fvs_tools.scenario import NODE_TABLE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -66,12 +65,6 @@ def test_parameters_that_commands_set_exist(path):
     known = {one.name for entry in NODE_TABLE.values() for one in entry.parameters()}
     for name in re.findall(r"-p (?:\w+:)?([\w.]+):=", page(path)):
         assert name in {*known, "name"}, name
-
-
-@each_page
-def test_experiments_that_commands_name_exist(path):
-    for name in re.findall(r"(?:fvs_experiments |NAME=)(\w+)", page(path)):
-        assert name in {*EXPERIMENTS, "all", "replay"}, name
 
 
 def test_every_reason_is_explained():

@@ -7,7 +7,6 @@ import pytest
 from cases import each
 from scipy.stats import bootstrap
 
-from fvs_lab import main
 from fvs_lab.experiment import Claim, Part
 from fvs_lab.report import write_page, write_report
 from fvs_lab.results import Interval, Results, median, ratio_of_medians, table
@@ -41,13 +40,6 @@ def test_the_ratio_is_paired():
     assert ratio.value == ratio.low == ratio.high == 0.5
     with pytest.raises(ValueError, match="as many"):
         ratio_of_medians([1.0], [1.0, 2.0])
-
-
-def test_runs_of_several_searches_on_the_same_cases_are_no_more_cases():
-    slow = np.random.default_rng(3).uniform(1.0, 10.0, 30).tolist()
-    one, again = median(slow), median(3 * slow, repeats=3)
-    assert (again.value, again.low, again.high, again.count) == (one.value, one.low, one.high, 30)
-    assert ratio_of_medians([1.0] * 10, [2.0] * 10, repeats=5).below(1.0) is None  # two cases
 
 
 def test_an_interval_on_both_sides_of_a_bound_decides_nothing():
@@ -120,12 +112,3 @@ def test_a_report_keeps_numbers_and_a_page_shows_them(tmp_path):
     row = r"| **undecided** | a\|b | 1.00 [0.90, 1.10] | ours |"
     for words in (row, "![one.png](servo/one.png)", "**Quick run:**", "| a |"):
         assert words in page
-
-
-# --- command line ---
-
-
-def test_what_is_not_installed_is_named(monkeypatch, capsys):
-    monkeypatch.setattr(main, "NEEDS", ("no_such_module",))
-    assert main.main(["servo"]) == 2
-    assert "no_such_module" in capsys.readouterr().err

@@ -1,6 +1,7 @@
 """Models, data sets and scenarios from strangers: used, or refused in words; nothing else."""
 
 import io
+import os
 import resource
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from cases import each
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fvs_estimator_node.files import DataSet, FileError, load_data_set, load_model, save_data_set
+from fvs_estimator_node.files import DataSet, load_data_set, load_model, save_data_set
 from fvs_tools.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,13 +41,13 @@ def kind(request, tmp_path):
     return request.param, path.read_bytes()
 
 
-def read(load, error, path, content):
+def read(load, path, content):
     """Load a file of this content; None if it is refused, in words that name the file."""
     path.write_bytes(content)
     try:
         return load(path)
-    except error as refused:
-        words = str(refused)
+    except ValueError as refusal:
+        words = str(refusal)
     assert path.name in words
     assert len(words) < 5000
     return None
@@ -83,36 +84,33 @@ def claim(descr, shape, content=b""):
 
 @FEW
 @given(
-    cut=st.none() | st.floats(0.0, 1.0),
+    cut=st.floats(0.0, 2.0),
     flips=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(1, 255)), max_size=12),
     tail=st.binary(max_size=30),
 )
 def test_bytes_that_were_cut_flipped_or_added(kind, tmp_path, cut, flips, tail):
     load, good = kind
     content = bytearray(good)
-    for place, flip in flips:
-        content[int(place * (len(content) - 1))] ^= flip
-    if cut is not None:
-        content = content[: int(cut * len(content))]
-    read(load, FileError, tmp_path / "file.npz", bytes(content) + tail)
+    for at, flip in flips:
+        content[int(at * (len(content) - 1))] ^= flip
+    read(load, tmp_path / "file.npz", bytes(content[: int(cut * len(content))]) + tail)
 
 
 def odd_member(data, old):
     """Another array in place of the bytes of an old one."""
-    what = data.draw(st.sampled_from(["numbers", "bytes", "header", "text"]))
-    if what == "numbers":
+    content = data.draw(st.sampled_from(["numbers", "bytes", "header", "text"]))
+    if content == "numbers":
         array = np.load(io.BytesIO(old)).copy()
         if array.dtype.kind == "f" and array.size:
             array.flat[data.draw(st.integers(0, array.size - 1))] = data.draw(NUMBERS)
         return npy(array)
-    if what == "bytes":
+    if content == "bytes":
         return data.draw(st.binary(max_size=200))
-    if what == "text":
+    if content == "text":
         return npy(np.array(data.draw(st.text(max_size=20) | st.just("long" * 10000))))
     sides = st.integers(-3, 8) | st.sampled_from([2**31, 2**40, 2**62])
     shape = tuple(data.draw(st.lists(sides, max_size=3)))
-    content = data.draw(st.binary(max_size=400))
-    return claim(data.draw(st.sampled_from(DESCRS)), shape, content)
+    return claim(data.draw(st.sampled_from(DESCRS)), shape, data.draw(st.binary(max_size=400)))
 
 
 @FEW
@@ -128,7 +126,7 @@ def test_members_of_any_type_shape_and_content(kind, tmp_path, data):
         else:
             members.pop(name, None)
     twice = list(members.items())[: data.draw(st.integers(0, 1))]
-    used = read(load, FileError, tmp_path / "file.npz", pack([*members.items(), *twice]))
+    used = read(load, tmp_path / "file.npz", pack([*members.items(), *twice]))
     for value in vars(getattr(used, "model", used)).values() if used is not None else ():
         assert not isinstance(value, np.ndarray) or np.all(np.isfinite(value))
 
@@ -148,15 +146,14 @@ def laughs(levels):
     lists = ["&a0 [x, x, x, x, x, x, x, x, x]"]
     lists += [f"&a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, levels)]
     rows = "".join(f"    q{i}: {row}\n" for i, row in enumerate(lists))
-    seed = f"fvs_sim_node:\n  ros__parameters:\n    seed: *a{levels - 1}\n"
-    return f"/**:\n  ros__parameters:\n{rows}{seed}"
+    return f"/**:\n  ros__parameters:\n{rows}    seed: *a{levels - 1}\n".encode()
 
 
 @pytest.mark.parametrize(
     ("name", "content"),
     [
         ("bomb.npz", lambda: pack([("bomb.npy", claim("|u1", (2**28,), bytes(2**28)))])),
-        ("laughs.yaml", lambda: laughs(12).encode()),
+        ("laughs.yaml", lambda: laughs(12)),
         ("sparse.yaml", None),  # 4 GB that take no room on the disk
     ],
 )
@@ -166,11 +163,8 @@ def test_a_small_file_takes_neither_memory_nor_time(tmp_path, name, content):
         resource.setrlimit(resource.RLIMIT_CPU, (5, 5))
 
     path = tmp_path / name
-    if content is not None:
-        path.write_bytes(content())
-    else:
-        with path.open("wb") as stream:
-            stream.truncate(2**32)
+    path.write_bytes(content() if content else b"")
+    os.truncate(path, path.stat().st_size if content else 2**32)
     command = [sys.executable, "-c", LOAD, str(path)]
     done = subprocess.run(
         command, capture_output=True, text=True, check=False, preexec_fn=limit, cwd=ROOT
@@ -183,7 +177,7 @@ def test_a_small_file_takes_neither_memory_nor_time(tmp_path, name, content):
 
 def scenario(tmp_path, content):
     content = content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass")
-    return read(lambda path: load_scenario(str(path)), ValueError, tmp_path / "some.yaml", content)
+    return read(lambda path: load_scenario(str(path)), tmp_path / "some.yaml", content)
 
 
 PLAIN = st.one_of(
@@ -216,24 +210,7 @@ def test_no_code_is_run(tmp_path, tag):
     assert "antigravity" not in sys.modules
 
 
-def seed(value):
-    return f"fvs_sim_node: {{ros__parameters: {{seed: {value}}}}}\n"
-
-
-@each(
-    "text",
-    [
-        b"\xff\xfe\x00\x01",
-        *map(seed, ["2001-99-99", "!!set {a, b}", "&a [*a]", ".nan", "1" * 400, "1:" * 2000 + "1"]),
-        "fvs_sim_node: {ros__parameters: {? [1, 2] : 2}}",
-        "fvs_sim_node: {ros__parameters: {latency_s: " + "1" * 400 + "}}",
-        "2001-01-01: {}",
-        "&a [*a]",
-        "%YAML 9.9\n---\n{}",
-        "a: 1\n---\nb: 2\n",
-        "[" * 20000,
-        "{a: " * 5000,
-    ],
-)
+@each("text", ["&a [*a]", "%YAML 9.9\n---\n{}", "a: 1\n---\nb: 2\n", "[" * 20000, "1" * 400])
 def test_odd_scenarios_are_refused(tmp_path, text):
     assert scenario(tmp_path, text) is None
+    assert scenario(tmp_path, f"fvs_sim_node: {{ros__parameters: {{seed: {text}}}}}\n") is None

@@ -13,24 +13,6 @@ DT_S = 0.008
 HERE, THERE = np.array([0.0, 0.0, 1.0]), np.array([0.8, 0.0, 1.0])
 
 
-def test_a_target_that_is_set_back_after_a_moving_one_is_a_task_of_its_own():
-    config = SupervisorConfig()
-    goal = Goal(config)
-    assert goal.set(HERE, FRAME)[0]
-    for k in range(161):
-        assert goal.set(HERE + k / 160.0 * (THERE - HERE), FRAME, 0.03 * k)[0]
-        goal.track(0.03 * k)
-    for tick in range(300):
-        goal.track(4.8 + DT_S * tick)
-        goal.see(THERE, DT_S, True)
-    assert goal.settled
-    assert goal.set(HERE, FRAME)[0]
-    assert not goal.settled
-    for share in np.linspace(1.0, 0.0, 120):
-        goal.see(HERE + share * (THERE - HERE), DT_S, True)
-        assert goal.progress.check(config) is None
-
-
 def test_a_target_that_a_new_box_dropped_does_not_come_back_by_itself():
     config = SupervisorConfig()
     goal = Goal(config)

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import KINDS, kind_of
-from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import (
     nearest_rotation,
@@ -59,7 +58,6 @@ def test_error_of_a_pose_is_way_and_turn(rng):
     assert parts["angle_rad"] == pytest.approx(np.linalg.norm([0.4, -1.0, 0.2]))
     assert parts["way_m"] == pytest.approx(np.linalg.norm(step[:3]))
     assert parts["error_m"] == pytest.approx(np.linalg.norm(step))
-    assert pose.error_text(step) == "37.4 mm and 62.76 degrees"
     # As weighted numbers they are the chord apart.
     chord_m = 2.0 * LEVER_M * np.sin(0.5 * parts["angle_rad"])
     apart_m = np.linalg.norm(pose.weights * (moved - target))
@@ -108,16 +106,6 @@ def test_nearest_pose_undoes_small_errors(rng):
     np.testing.assert_allclose(pose.nearest(at), at, atol=1e-12)
     mirrored = nearest_rotation(np.diag([1.0, 1.0, -0.1]))
     assert np.linalg.det(mirrored) == pytest.approx(1.0)
-
-
-def test_a_vector_is_its_own_task(rng):
-    ball, one, other = Ball(), rng.normal(size=3), rng.normal(size=3)
-    np.testing.assert_array_equal(ball.minus(one, other), one - other)
-    np.testing.assert_array_equal(ball.retract(one, other), one + other)
-    assert ball.to_tangent(one, other) is ball.from_tangent(one, other) is other
-    assert ball.nearest(one) is one
-    assert ball.axes == ("x", "y", "z")
-    assert ball.error_text(np.array([3e-3, 0.0, 4e-3])) == "5.0 mm"
 
 
 def test_at_half_a_turn_noise_does_not_change_the_way_round(rng):

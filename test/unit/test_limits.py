@@ -1,13 +1,11 @@
 """Limits on a command: speed, acceleration, joint range, and coming to rest."""
 
-import math
-
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fvs_ros.clock import MAX_PERIOD_S
 from fvs_ros.interface import PositionPath
 from fvs_ros.limiter import CommandLimiter
 from fvs_ros.limits import (
@@ -15,7 +13,6 @@ from fvs_ros.limits import (
     JointLimits,
     braking_speed,
     limit_speed,
-    tick_s,
     with_urdf_limits,
 )
 from fvs_ros.params import ParameterError
@@ -53,36 +50,29 @@ def test_only_motion_towards_a_near_limit_is_slowed(velocity, joints):
             assert abs(got[i]) >= min(abs(velocity[i]), 1.0)
 
 
-def test_one_can_brake_from_the_braking_speed_tick_by_tick():
-    for travel in (1e-4, 1e-2, 0.3):
-        speed, way = braking_speed(travel, 6.0, 0.008), 0.0
-        while speed > 0.0:
-            way += speed * 0.008
-            speed -= 6.0 * 0.008
-        assert way <= travel
-
-
 NAMES = ("base", "upper", "lift")
-URDF = read_joints(
-    "<robot>"
-    + "".join(
-        f"<joint name='{name}' type='{kind}'><parent link='{i}'/><child link='{i + 1}'/>{limit}"
+
+
+def urdf_of(*joints):
+    """The joints of a URDF: of each its name, its type, and what stands in it."""
+    text = "".join(
+        f"<joint name='{name}' type='{kind}'><parent link='{i}'/><child link='{i + 1}'/>{inside}"
         "</joint>"
-        for i, (name, kind, limit) in enumerate(
-            (
-                ("base", "continuous", "<limit velocity='2'/>"),
-                ("upper", "revolute", "<limit lower='-1' upper='0.5' velocity='0.5'/>"),
-                ("lift", "prismatic", "<limit lower='0' upper='0.3' velocity='0.1'/>"),
-                ("fixed", "fixed", ""),
-            )
-        )
+        for i, (name, kind, inside) in enumerate(joints)
     )
-    + "</robot>"
+    return read_joints(f"<robot>{text}</robot>")
+
+
+URDF = urdf_of(
+    ("base", "continuous", "<limit velocity='2'/>"),
+    ("upper", "revolute", "<limit lower='-1' upper='0.5' velocity='0.5'/>"),
+    ("lift", "prismatic", "<limit lower='0' upper='0.3' velocity='0.1'/>"),
+    ("fixed", "fixed", ""),
 )
 
 
-def described_limits(**given):
-    values = JointLimits(joint_names=NAMES, **given)
+def described_limits(**changes):
+    values = JointLimits(joint_names=NAMES, **changes)
     return JointLimits.from_values(with_urdf_limits(vars(values), URDF))
 
 
@@ -98,17 +88,18 @@ def test_limits_that_are_not_given_are_those_of_the_urdf():
     np.testing.assert_array_equal(own.share, [1.0, 1.0, 0.5])  # the lift's range is 1 m
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
+@each(
+    ("changes", "words"),
     [
         ({"joint_min_rad": (0.6, 0.6, 0.1)}, "below that of joint_max_rad"),
         ({"joint_min_rad": (0.0,)}, "needs 3 numbers"),
         ({"joint_velocity_limits_rad_s": (1.0, 0.0, 1.0)}, "from 0.001"),
+        ({"max_joint_jerk_rad_s3": 59.0}, "at least 60, 10 times max_joint_acceleration"),
     ],
 )
-def test_limits_that_contradict_each_other_are_refused(given, words):
+def test_limits_that_contradict_each_other_are_refused(changes, words):
     with pytest.raises(ParameterError, match=words):
-        described_limits(**given)
+        described_limits(**changes)
 
 
 def test_slower_joints_are_limited_in_proportion():
@@ -151,51 +142,44 @@ def test_positions_follow_velocities_and_never_run_away_from_joints_that_do_not(
     np.testing.assert_allclose(back - joints, [-0.01, -0.005, -0.001])
 
 
-def test_with_a_jerk_limit_braking_takes_the_way_of_an_s_curve():
+def test_with_a_jerk_limit_braking_takes_the_travel_of_an_s_curve():
+    acceleration, jerk = 6.0, 100.0
     for speed in (0.05, 0.5, 2.0):
-        acceleration, jerk = 6.0, 100.0
         full = acceleration**2 / jerk
-        way = speed**1.5 / jerk**0.5
+        travel = speed**1.5 / jerk**0.5
         if speed > full:
-            way = speed**2 / (2.0 * acceleration) + 0.5 * speed * acceleration / jerk
-        assert braking_speed(way, acceleration, 0.0, jerk) == pytest.approx(speed)
-        assert braking_speed(way, acceleration, 0.008, jerk) < speed
+            travel = speed**2 / (2.0 * acceleration) + 0.5 * speed * acceleration / jerk
+        assert braking_speed(travel, acceleration, 0.0, jerk) == pytest.approx(speed)
+        assert braking_speed(travel, acceleration, 0.008, jerk) < speed
 
 
-def test_a_jerk_limit_at_which_an_arm_stops_too_late_is_refused():
-    with pytest.raises(ParameterError, match="at least 60, 10 times max_joint_acceleration"):
-        JointLimits(max_joint_jerk_rad_s3=59.0)
-
-
-@pytest.mark.parametrize("dt_s", [0.0, -1.0, math.nan, math.inf, 1e-300])
-def test_a_time_step_that_no_clock_gives_counts_for_nothing(dt_s):
-    assert tick_s(dt_s) == 0.0
-    assert tick_s(0.008) == 0.008
-    assert tick_s(9.0) == MAX_PERIOD_S
-
-
-FR3 = "<robot>" + "".join(
-    f"<joint name='fr3_joint{i}' type='revolute'><parent link='{i}'/><child link='{i + 1}'/>"
-    f"<limit lower='-{end}' upper='{end}' velocity='{fast}'/>"
-    f"<position_based_velocity_limits velocity_offset='{off}' deceleration_limit='{d}'/></joint>"
-    for i, (end, fast, off, d) in enumerate(
-        [(2.7501, 2.62, 0.3, 6.0), (1.7918, 2.62, 0.2, 2.585), (2.8101, 5.26, 0.35, 17.0)], 1
+FR3 = urdf_of(
+    *(
+        (
+            f"fr3_joint{i}",
+            "revolute",
+            f"<limit lower='-{end}' upper='{end}' velocity='{fast}'/>"
+            f"<position_based_velocity_limits velocity_offset='{offset}' "
+            f"deceleration_limit='{brakes}'/>",
+        )
+        for i, (end, fast, offset, brakes) in enumerate(
+            [(2.7501, 2.62, 0.3, 6.0), (1.7918, 2.62, 0.2, 2.585), (2.8101, 5.26, 0.35, 17.0)], 1
+        )
     )
 )
 
 
-@pytest.mark.parametrize("most", [2.0, 9.9])
-@pytest.mark.parametrize("side", [-1.0, 1.0])
+@each("most", [2.0, 9.9])
+@each("side", [-1.0, 1.0])
 def test_near_its_end_a_joint_is_as_fast_as_its_driver_allows_there(side, most):
-    names = tuple(f"fr3_joint{i}" for i in (1, 2, 3))
-    given = JointLimits(
-        joint_names=names,
+    values = JointLimits(
+        joint_names=tuple(FR3),
         max_joint_velocity_rad_s=2.5,
         max_joint_acceleration_rad_s2=most,
         max_joint_jerk_rad_s3=4000.0,
         joint_limit_margin_rad=0.35,
     )
-    limits = JointLimits.from_values(with_urdf_limits(vars(given), read_joints(FR3 + "</robot>")))
+    limits = JointLimits.from_values(with_urdf_limits(vars(values), FR3))
     offset, allowed = np.array([(0.3, 6.0), (0.2, 2.585), (0.35, 17.0)]).T
     dt_s, q, limiter = 0.001, np.zeros(3), CommandLimiter(limits)
     for _ in range(4000):

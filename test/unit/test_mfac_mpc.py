@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from cases import each
 from scipy.integrate import quad
-from scipy.optimize import minimize
 
 from fvs_controller_node.base import ControlInput
 from fvs_controller_node.proportional import MfacGains, MfacLaw, MpcGains, MpcLaw, mpc_coefficients
@@ -32,8 +31,6 @@ def test_the_mfac_increment_minimises_its_cost(damping: float):
     wanted = np.linalg.lstsq(stacked, np.concatenate([-ERROR_M, np.zeros(6)]), rcond=None)[0]
     law = MfacLaw(MfacGains(mfac_lambda=damping, control_interval_s=1.0))
     np.testing.assert_allclose(velocity(law), wanted, rtol=1e-10)
-    printed = np.linalg.solve(damping * np.eye(6) + JACOBIAN.T @ JACOBIAN, JACOBIAN.T @ -ERROR_M)
-    np.testing.assert_allclose(velocity(law), printed, rtol=1e-10)
 
 
 def test_the_mfac_velocity_is_the_increment_over_the_interval_whatever_the_tick():
@@ -92,9 +89,8 @@ def mpc_cost(u, error, jacobian, weight, *, horizon=10.7, alpha=0.64, rho=1.26) 
 
 def central_gradient(function, at: np.ndarray, h: float) -> np.ndarray:
     """Exact for a quadratic, except for rounding."""
-    return np.array(
-        [(function(at + h * one) - function(at - h * one)) / (2.0 * h) for one in np.eye(len(at))]
-    )
+    steps = h * np.eye(len(at))
+    return np.array([(function(at + step) - function(at - step)) / (2.0 * h) for step in steps])
 
 
 @each("q", [0.01, 0.07, 1.0])
@@ -107,13 +103,6 @@ def test_the_mpc_increment_minimises_its_cost(q: float):
 
     scale = np.abs(central_gradient(cost, np.zeros(6), 0.1)).max()
     assert np.abs(central_gradient(cost, u, 0.1)).max() < 1e-11 * scale
-    found = minimize(cost, np.zeros(6), method="BFGS", options={"gtol": 1e-9}).x
-    np.testing.assert_allclose(u, found, atol=1e-6)
-    a, b, c = mpc_coefficients(10.7, 0.64, 1.26)
-    six_by_six = a * JACOBIAN.T @ JACOBIAN + q * np.eye(6)
-    np.testing.assert_allclose(
-        u, np.linalg.solve(six_by_six, (b - c) * JACOBIAN.T @ -ERROR_M), rtol=1e-10
-    )
 
 
 def test_the_printed_mpc_form_misses_the_minimum_unless_q_is_a_multiple_of_the_identity():

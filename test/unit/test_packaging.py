@@ -23,23 +23,18 @@ def setup_arguments():
     return handed
 
 
-@pytest.fixture(scope="module")
-def manifest():
-    return ET.parse(ROOT / "package.xml").getroot()
-
-
 def requirement_name(line):
     return _NAME.match(line).group().lower().replace("_", "-")
 
 
-def test_manifest_names_every_ros_package_that_is_imported(manifest):
+def test_manifest_names_every_ros_package_that_is_imported():
+    manifest = ET.parse(ROOT / "package.xml").getroot()
     declared = {element.text for element in manifest if element.tag.endswith("depend")}
     pattern = re.compile(
         r"^\s*(?:from|import) (rclpy|launch|launch_ros|std_srvs|\w+_msgs|\w+_interfaces)\b", re.M
     )
     files = [*ROOT.glob("fvs_*/**/*.py"), *ROOT.glob("launch/*.py")]
-    used = {name for path in files for name in pattern.findall(path.read_text(encoding="utf-8"))}
-    assert used <= declared
+    assert {name for path in files for name in pattern.findall(path.read_text("utf-8"))} <= declared
 
 
 def test_entry_points_exist(setup_arguments):
@@ -60,7 +55,6 @@ def test_every_folder_and_shared_file_is_installed_where_it_lies(setup_arguments
         paths = ROOT.glob(pattern)
         assert {f"share/fvs_ros/{one.relative_to(ROOT).as_posix()}" for one in paths} <= installed
     assert files["share/ament_index/resource_index/packages"] == ["resource/fvs_ros"]
-    assert files["share/fvs_ros"] == ["package.xml"]
 
 
 def test_requirements_are_bounded_on_both_sides_and_the_demo_needs_no_torch(setup_arguments):
@@ -69,9 +63,7 @@ def test_requirements_are_bounded_on_both_sides_and_the_demo_needs_no_torch(setu
     extras = setup_arguments["extras_require"]
     requirements = [*setup_arguments["install_requires"], *chain.from_iterable(extras.values())]
     wanted = {requirement_name(requirement) for requirement in requirements}
-    assert wanted - bounds.keys() == set()
-    for name in wanted:
-        assert ">=" in bounds[name], bounds[name]
-        assert "<" in bounds[name], bounds[name]
+    assert wanted <= bounds.keys()
+    assert [line for line in map(bounds.get, wanted) if not re.search(">=.*<", line)] == []
     demo = [*setup_arguments["install_requires"], *extras["ros"], *extras["sim"]]
     assert "torch" not in map(requirement_name, demo)

@@ -6,11 +6,7 @@ import pytest
 import yaml
 from cases import each
 
-from fvs_tools.scenario import (
-    RECORDER,
-    load_scenario,
-    params_yaml,
-)
+from fvs_tools.scenario import load_scenario, params_yaml
 from fvs_tools.schemes import BEYOND, SCHEMES
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -29,7 +25,6 @@ def test_overrides_go_to_the_nodes_that_have_the_parameter():
     assert values["fvs_estimator_node"]["method"] == "frozen"
     assert values["fvs_controller_node"]["law"] == "proportional"
     assert values["fvs_sim_node"]["seed"] == 7
-    assert values["fvs_demo_node"]["seed"] == 0
     assert values["fvs_demo_node"]["model_path"] == "other.npz"
     assert values["fvs_estimator_node"]["model_path"] == "other.npz"
 
@@ -75,25 +70,14 @@ def test_wildcard_parameters_reach_every_node_and_the_file_holds_in_any_namespac
     assert set(content) == {"/**/fvs_sim_node", "/**/fvs_collector_node"}
 
 
-@each("one", [*SCHEMES.values(), *BEYOND.values()])
-def test_a_scheme_sets_method_and_law_and_an_override_wins(one):
-    parameters = load_scenario("demo", scheme_name=one.name)
-    assert parameters["fvs_estimator_node"]["method"] == one.method
-    assert parameters["fvs_controller_node"]["law"] == one.law
-    assert one.controller_values.items() <= parameters["fvs_controller_node"].items()
-    other = load_scenario("demo", ["law:=mfac"], one.name)
+@each("scheme", [*SCHEMES.values(), *BEYOND.values()])
+def test_a_scheme_sets_method_and_law_and_an_override_wins(scheme):
+    parameters = load_scenario("demo", scheme_name=scheme.name)
+    assert parameters["fvs_estimator_node"]["method"] == scheme.method
+    assert parameters["fvs_controller_node"]["law"] == scheme.law
+    assert scheme.controller_values.items() <= parameters["fvs_controller_node"].items()
+    other = load_scenario("demo", ["law:=mfac"], scheme.name)
     assert other["fvs_controller_node"]["law"] == "mfac"
-    assert other["fvs_estimator_node"]["method"] == one.method
-
-
-def test_the_recorder_shares_the_loops_time(tmp_path):
-    overrides = ["use_sim_time:=true", "law:=mfac"]
-    loop = load_scenario("demo", overrides)
-    recorded = load_scenario("demo", overrides, record=str(tmp_path / "bag"), images=False)
-    assert list(recorded) == [RECORDER, *loop]
-    own = {"bag_dir": str(tmp_path / "bag"), "images": False, "scenario": params_yaml(loop)}
-    assert recorded[RECORDER] == {"use_sim_time": True, **own}
-    assert yaml.safe_load(params_yaml(recorded))  # text within text
 
 
 @each("name", ["ur5_real", "ur5_real_collect"])

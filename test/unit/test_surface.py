@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 from cases import each
 
@@ -19,12 +18,6 @@ def test_lambda3_is_three_over_delta():
     assert 0.3 + 0.2 * math.tanh(100.0 * 0.02**2) == pytest.approx(0.308, abs=0.001)
 
 
-def test_a_fixed_exponent_is_the_same_everywhere():
-    surface = SlidingSurface(lambda1=0.6, lambda2=0.0)
-    assert {surface.exponent(y) for y in (0.0, 1e-3, 0.3)} == {0.6}
-    assert surface.psi(-0.25) == pytest.approx(-(0.25**0.6))
-
-
 @each("y", [*ERRORS_M, *(-y for y in ERRORS_M)])
 @each("surface", [SlidingSurface(), SlidingSurface(lambda1=0.5, lambda2=0.0)])
 def test_slopes_match_finite_differences(surface: SlidingSurface, y: float):
@@ -33,13 +26,3 @@ def test_slopes_match_finite_differences(surface: SlidingSurface, y: float):
     psi, given = surface.psi_and_slope(y)
     assert psi == surface.psi(y)
     assert given == pytest.approx(slope, rel=1e-5)
-
-
-@each("switch_error_m", [1e-3, 5e-3, 0.05, 0.3])
-def test_psi_rises_everywhere_and_is_odd(switch_error_m: float):
-    surface = SlidingSurface(switch_error_m=switch_error_m)
-    ys = np.concatenate([np.geomspace(1e-9, 2.0, 20000)])
-    psi = np.array([surface.psi(y) for y in ys])
-    assert np.all(np.diff(psi) > 0.0)
-    assert surface.psi(-0.01) == -surface.psi(0.01)
-    assert surface.psi(0.0) == 0.0

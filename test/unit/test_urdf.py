@@ -105,26 +105,16 @@ def test_a_bad_joint_of_the_arm_is_named_unless_all_limits_are_given(number):
 
 
 NO_TOOL = TEXT.replace("tool0", "mount")
-MIMIC = "<mimic joint='finger_1'/>"
 HANDS = {
     "two fingers": (
         joint("finger_1", "mount", "lf", "prismatic"),
         joint("finger_2", "mount", "rf"),
-    ),
-    "one follows": (
-        joint("finger_1", "mount", "lf"),
-        joint("finger_2", "mount", "rf", inside=MIMIC),
     ),
     "on a fixed hand": (
         joint("hand_joint", "mount", "hand", "fixed"),
         joint("left_joint", "hand", "left", "fixed"),
         joint("finger_1", "left", "lf"),
         joint("finger_2", "hand", "rf"),
-    ),
-    "three fingers of three": tuple(
-        joint(f"finger_{i}_{k}", f"{i}{k - 1}" if k else "mount", f"{i}{k}")
-        for i in range(3)
-        for k in range(3)
     ),
 }
 
