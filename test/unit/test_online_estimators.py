@@ -11,9 +11,7 @@ from recordings import random_networks
 
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.online import OnlineConfig, RlsEstimator
-from fvs_estimator_node.registry import (
-    create_estimator,
-)
+from fvs_estimator_node.registry import create_estimator
 
 ONLINE = ("lkf", "ukf", "rls")
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
@@ -119,26 +117,14 @@ def test_least_squares_do_not_wind_up_where_nothing_moves():
     assert np.abs(after - before).max() < 0.1
 
 
-_NUMBER = st.floats()
-_SANE = st.floats(-1.0, 1.0)
-
-
-def _vectors(size):
-    return st.one_of(
-        st.lists(_SANE, min_size=size, max_size=size),
-        st.lists(_NUMBER, min_size=size, max_size=size),
-    )
-
-
+_NUMBERS = st.lists(st.floats(-1.0, 1.0), min_size=15, max_size=15) | st.lists(
+    st.floats(), min_size=15, max_size=15
+)
 _STEPS = st.lists(
     st.builds(
-        lambda dt_s, joints, d_joints, d_ball: MotionStep(
-            1.0, dt_s, np.array(joints), np.array(d_joints), np.array(d_ball)
-        ),
-        st.one_of(st.floats(0.01, 0.5), _NUMBER),
-        _vectors(6),
-        _vectors(6),
-        _vectors(3),
+        lambda dt_s, numbers: MotionStep(1.0, dt_s, *np.split(np.array(numbers), [6, 12])),
+        st.floats(0.01, 0.5) | st.floats(),
+        _NUMBERS,
     ),
     max_size=12,
 )
@@ -163,15 +149,11 @@ def test_no_sequence_of_steps_makes_a_jacobian_that_is_not_finite(method, steps)
 def test_it_starts_from_the_model_at_the_first_joints_and_reset_starts_again(method):
     rng = np.random.default_rng(13)
     model = random_networks()
-    asked, told = (create_estimator(method, model, {}) for _ in range(2))
+    asked = create_estimator(method, model, {})
     first, later = HOME + 0.1, HOME - 0.2
     assert asked.problem == ""
     np.testing.assert_allclose(asked.jacobian(first), model.jacobian(first))
     np.testing.assert_allclose(asked.jacobian(later), model.jacobian(first))
-    step = MotionStep(1.0, 0.04, first, np.full(6, 0.05), 0.1 * rng.normal(size=3))
-    asked.update(step)
-    told.update(step)
-    np.testing.assert_array_equal(asked.jacobian(first), told.jacobian(later))
     learn(asked, random_steps(rng, 30))
     asked.reset()
     assert (asked.updates, asked.refused, asked.covariance.size) == (0, 0, 0)
