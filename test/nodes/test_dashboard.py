@@ -1,7 +1,9 @@
 """The page beside a real controller: it shows, it drives, and it does no harm."""
 
 import contextlib
+import os
 import re
+import shutil
 import signal
 
 import numpy as np
@@ -24,10 +26,11 @@ from fvs_sim_node.robot import HOME_JOINTS_RAD
 
 DASHBOARD = "fvs_dashboard.dashboard_node"
 CONTROLLER = "fvs_controller_node.node"
-BOTH = "fvs_tools.servo_node"  # estimator and controller
-#: The page is tested, not the machine: so is a simulated arm of fewer joint states and images.
-SLOW = {"joint_state_rate_hz": 50, "image_rate_hz": 15.0}
-PATIENT = {f"{name}_max_age_s": 1.0 for name in ("joint_states", "ball", "jacobian")}
+#: The page is tested, not the machine.
+PATIENT = {
+    **{f"{name}_max_age_s": 1.0 for name in ("joint_states", "ball", "jacobian")},
+    "stall_time_s": 60.0,
+}
 TARGET = "x, y, z (m)"
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 
@@ -35,12 +38,12 @@ CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 def address_of(harness, process):
     """Where the page is, once it is served."""
 
-    def found():
-        return re.search(r"^page: (http://\S+)$", harness.output(process), re.M)
+    def match():
+        return re.search(r"page: (http://\S+)$", harness.output(process), re.M)
 
-    harness.spin_until(lambda: found() is not None or process.poll() is not None, 30.0, "the page")
-    assert found(), harness.output(process)
-    return found().group(1)
+    harness.spin_until(lambda: match() or process.poll() is not None, 30.0, "the page")
+    assert match(), harness.output(process)
+    return match().group(1)
 
 
 @pytest.fixture
@@ -70,8 +73,8 @@ def loop(ros_module, ros_beside, pages):
 
 
 def states(page):
-    found = re.search(r'data-state="(\w+)"', page.text())
-    return found.group(1) if found else ""
+    match = re.search(r'data-state="(\w+)"', page.text())
+    return match.group(1) if match else ""
 
 
 def wait_for_state(harness, page, state):
@@ -210,10 +213,10 @@ def test_images_are_asked_for_only_while_a_browser_looks(loop, pages):
 
 
 def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros_test, pages):
-    model = {"model_path": "models/ur5_front.npz"}
-    ros_test.start_node("fvs_sim_node.node", **SLOW)
-    ros_test.start_node(BOTH, autostart=True, **model, **PATIENT)
-    process = ros_test.start_node(DASHBOARD, port=0, tour=True, **model)
+    slow = {"joint_state_rate_hz": 50, "image_rate_hz": 15.0, "full_frame_rate_hz": 1.0}
+    given = {"port": 0, **slow, **PATIENT}
+    arguments = (word for item in given.items() for word in ("-p", "{}:={}".format(*item)))
+    process = ros_test.start("fvs_tools.launcher", "dashboard", *arguments)
     page = pages(address_of(ros_test, process))
     joint_states = ros_test.collect(JointState, topics.JOINT_STATES.name)
 
@@ -240,11 +243,105 @@ def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros
     page.set("Depth noise (×)", 2.5)
     wanted = GetParameters.Request(names=["depth_noise", "camera_rotation_deg"])
 
-    def told():
-        noise, turns = ros_test.call(GetParameters, "fvs_sim_node/get_parameters", wanted).values
-        return noise.double_value, any(turns.double_array_value)
+    def disturbances():
+        answer = ros_test.call(GetParameters, "fvs_sim_node/get_parameters", wanted)
+        noise, rotation = answer.values
+        return noise.double_value, any(rotation.double_array_value)
 
-    wait(lambda: told() == (2.5, True), "the disturbances")
+    wait(lambda: disturbances() == (2.5, True), "the disturbances")
     page.press("Reset")
-    wait(lambda: told() == (2.5, False) and away_rad() < 1e-3, "arm and camera as they began")
+    wait(lambda: disturbances() == (2.5, False) and away_rad() < 1e-3, "all as it began")
     wait_for_state(ros_test, page, "READY")
+
+
+# ---- in a real browser ------------------------------------------------------------------------
+
+#: Headless, drawing WebGL by software, and saying nothing to the world.
+FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+)
+#: Drawn some times a second only: by software every picture takes a core for tens of milliseconds.
+SELDOM = "window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 500)"
+#: All at one look: what the panel says, and where its buttons and the banner are.
+LOOK = """() => {
+    const text = name => document.getElementById(`fvs-${name}`).innerText;
+    const box = node => Object.values(node.getBoundingClientRect().toJSON());
+    const button = name => [...document.querySelectorAll("button")]
+        .find(one => one.innerText == name);
+    const banner = document.getElementById("fvs-banner");
+    const names = ["Stop", "Go", "Set current as target"];
+    return {state: banner.dataset.state, error: text("error"), refusal: text("refusal"),
+            boxes: [banner, ...names.map(button)].map(box).join(" ")};
+}"""
+#: Whether the page says that its program has ended.
+LOST = "getComputedStyle(document.getElementById('fvs-lost')).opacity"
+
+
+@pytest.fixture
+def window():
+    """A window of a browser."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed (pip install playwright)"
+    )
+    path = shutil.which("chromium") or shutil.which("chromium-browser")
+    if path is None and not os.environ.get("FVS_NEED_BROWSER"):
+        pytest.skip("chromium is not installed (apt install chromium)")
+    with playwright.sync_playwright() as tool:
+        chromium = tool.chromium.launch(executable_path=path, headless=True, args=FLAGS)
+        window = chromium.new_page(viewport={"width": 1000, "height": 700})
+        window.add_init_script(SELDOM)
+        yield window
+        chromium.close()
+
+
+def test_a_person_watches_and_stops_the_arm_in_a_browser(loop, window):
+    harness, robot, _, process, _ = loop
+    failures, boxes = [], set()
+    window.on("pageerror", lambda error: failures.append(str(error)))
+    window.goto(address_of(harness, process))
+    window.wait_for_selector("#fvs-error", timeout=60_000)
+
+    def wait(condition, what):
+        def holds():
+            harness.spin_for(0.15)  # a look costs page and test milliseconds
+            look = window.evaluate(LOOK)
+            boxes.add(look["boxes"])
+            return condition(look)
+
+        harness.spin_until(holds, 40.0, what, lambda: window.inner_text("body"))
+
+    def press(name):
+        window.get_by_role("button", name=name, exact=True).click()
+
+    def aim(position_m):
+        row = window.locator("div:has(> div label)", has_text=TARGET).last
+        for number, value in enumerate(position_m):
+            row.locator("input").nth(number).fill(f"{value:.3f}")
+        press("Go")
+
+    def error_mm(look):
+        return float(re.sub("[^0-9.]", "", look["error"]) or "nan")
+
+    wait(lambda look: look["state"] in ("WAITING", "READY"), "all inputs")
+    assert window.locator("canvas").count() >= 4  # the 3-D view and three curves
+    aim(robot.ball + [0.15, -0.05, 0.05])
+    wait(lambda look: look["state"] == "READY" and error_mm(look) > 100.0, "a way to go")
+    press("Start")
+    wait(lambda look: error_mm(look) < 10.0, "an arrival")
+    press("Stop")
+    harness.spin_until(robot.standing, what="zeros")
+    wait(lambda look: look["state"] == "READY", "the stop on the page")
+    aim([0.0, 0.0, 99.0])
+    wait(lambda look: "target refused" in look["refusal"], "a refusal")
+    assert len(boxes) == 1, boxes  # nothing moved, whatever was said
+    assert failures == []
+    wait(lambda _: window.evaluate(LOST) == "0", "no word of a program that has ended")
+    harness.stop(process)
+    window.wait_for_function(f"{LOST} == '1'", timeout=20_000)
+    assert "No word from this page's program" in window.inner_text("#fvs-lost")
