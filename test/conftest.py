@@ -9,7 +9,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import guard
 import pytest
 
 _LOG_DIR = tempfile.mkdtemp(prefix="fvs_test_log_")
@@ -50,7 +49,6 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["FVS_TEST_SLOWNESS"] = f"{slowness:.2f}"
     # Longer than any test waits by itself: it ends what hangs.
     os.environ.setdefault("PYTEST_TIMEOUT", f"{180 * slowness:.0f}")
-    guard.watch()
 
 
 @pytest.fixture

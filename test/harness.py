@@ -8,7 +8,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -31,6 +30,7 @@ from std_srvs.srv import Trigger
 from fvs_ros import ros, topics
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.kinds.ball import Ball
+from fvs_ros.paths import program
 
 _BEGAN_S = time.time()
 #: How many times as long everything takes here as on a good computer.
@@ -145,11 +145,11 @@ class Harness:
         return {**os.environ, "ROS_DOMAIN_ID": str(self.domain), "PYTHONUNBUFFERED": "1"}
 
     def start(self, module: str, *arguments: str) -> subprocess.Popen:
-        """Run ``python -m module arguments``, its output kept for ``output``."""
+        """Run a module, its output kept for ``output``; it ends with these tests, if killed."""
         path = self.folder / f"{len(self.processes)}_{module}.log"
         with path.open("w", encoding="utf-8") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", module, *arguments],
+                [*program(module, dies_with_parent=True), *arguments],
                 stdout=log if self.sink is None else self.sink,
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,
@@ -185,7 +185,8 @@ class Harness:
 
     def wait(self, process: subprocess.Popen, timeout_s: float = 20.0) -> int:
         """Keep spinning until a process ends, return its exit code."""
-        self.spin_until(lambda: process.poll() is not None, timeout_s, f"{process.args} to end")
+        name = process.log_path.name  # type: ignore[attr-defined]
+        self.spin_until(lambda: process.poll() is not None, timeout_s, f"{name} to end")
         return process.returncode
 
     # --- topics ---
@@ -242,7 +243,7 @@ class Harness:
         while not condition():
             if time.monotonic() > end_s:
                 processes = [*self._others, *self.processes]
-                logs = "\n".join(f"--- {p.args}\n{self.output(p)}" for p in processes)
+                logs = "\n".join(f"--- {p.log_path.name}\n{self.output(p)}" for p in processes)
                 raise AssertionError(
                     f"waited {timeout_s:g} s in vain for {what}; {story()}\n{logs}"
                 )

@@ -16,8 +16,8 @@ from scipy.stats import levy_stable
 
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.registry import create_estimator
-from fvs_lab import beyond, experiment, main
 from fvs_lab import contestants as who
+from fvs_lab import experiment, main
 from fvs_lab.contestants import EXACT
 from fvs_lab.estimators import Recording, judge
 from fvs_lab.experiment import Context
@@ -25,14 +25,12 @@ from fvs_lab.report import EXPERIMENTS
 from fvs_lab.robustness import EVERYDAY, HARSH, judged, schemes_called, trials_in
 from fvs_lab.trials import (
     Bump,
-    Conditions,
     StableNoise,
     crossed,
     make_cases,
     run_trial,
     simulation_of,
 )
-from fvs_ros.kinds.pose import Pose
 
 
 @pytest.mark.parametrize("name", [name for name in EXPERIMENTS if name not in ("everyday", "tags")])
@@ -154,34 +152,3 @@ def test_best_is_close_to_the_floor_and_the_same_when_repeated():
     assert one == again
     least_s = who.floor_s(case)
     assert least_s < one.to_5mm_s < 1.2 * least_s
-
-
-def test_a_turn_counts_by_its_arc_as_in_the_controller():
-    exact = Conditions("pose", rendered=False)
-    best = who.variant("best", exact).changed(duration_s=0.02, record=True)
-    (trial,) = crossed([best], make_cases("t", 1, 5, conditions=exact))
-    outcome = run_trial(trial)
-    feature = Pose()
-    start_m, target_m = outcome.series["feature_m"][0], np.array(outcome.target_m)
-    arc_m = np.linalg.norm(feature.minus(start_m, target_m))
-    assert outcome.start_distance_m == pytest.approx(arc_m, rel=1e-12)
-    assert arc_m > 1.001 * np.linalg.norm(feature.weights * (start_m - target_m))
-
-
-def test_a_camera_that_moves_while_the_ball_rests_costs_little_time():
-    before = simulation_of(EXACT).camera
-    settled_s = {}
-    for trial in beyond.bumped(1):
-        if trial.labels["scheme"] == "best":
-            settled_s[trial.labels["moment"]] = run_trial(trial).to_5mm_s
-    undisturbed_s, before_s, _ = settled_s.values()
-    assert before_s <= 1.2 * undisturbed_s
-    np.testing.assert_array_equal(simulation_of(EXACT).camera.rotation, before.rotation)
-
-
-def test_feed_forward_keeps_up_with_a_target_that_goes_round():
-    with_it, alone = (
-        beyond.tracking_error(run_trial(trial).row())["rms_m"]
-        for trial in beyond.pursuits(1, (0.1,), ("extended",))
-    )
-    assert with_it < 0.003 < alone < 0.03

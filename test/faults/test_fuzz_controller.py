@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import each
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import settings
 
 from bench import bench_fuzz, bench_mutants
 from bench.bench_fuzz import Machine
 from bench.bench_mutants import MUTANTS, SCRIPTS, do
-from bench.fuzz_promises import Promises
 from bench.fuzz_world import BALL, FRESH_TICKS, JOINT_STATES, World
 from fvs_controller_node.reasons import Reason
 from fvs_ros import ros
@@ -38,32 +36,6 @@ def test_nothing_but_a_start_starts_it(monkeypatch):
     monkeypatch.setattr(World, "start", lambda _self: None)
     _, broken = bench_fuzz.play(0, ticks=1_500, settings=FEW)
     assert not broken, broken
-
-
-@settings(max_examples=15, derandomize=True)
-@given(
-    joints=st.integers(4, 7),
-    start=st.lists(st.floats(-7.0, 7.0), min_size=7, max_size=7),
-    plant=st.sampled_from(["obeys", "creeps", "one joint sticks"]),
-    way=st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7),
-    jerk=st.sampled_from([0.0, 0.0, 60.0, 400.0]),
-    fast=st.just([]) | st.lists(st.floats(0.05, 1.5), min_size=7, max_size=7),
-)
-def test_an_arm_that_obeys_never_passes_the_ends_of_its_range(
-    joints, start, plant, way, jerk, fast
-):
-    world = World(joints=joints)
-    Promises(world)
-    world.set({"joint_velocity_limits_rad_s": fast[:joints], "max_joint_jerk_rad_s3": jerk})
-    lower, upper = world.limits.lower_rad, world.limits.upper_rad
-    world.joints, world.plant = np.clip(start[:joints], lower, upper), plant
-    world.push_m = -world.arm_moved_m()
-    world.run(FRESH_TICKS)
-    world.send_target(world.ball() + world.true @ way[:joints])
-    world.start()
-    for _ in range(100):
-        world.run(1)
-        assert np.all((lower - 1e-9 <= world.joints) & (world.joints <= upper + 1e-9))
 
 
 def test_every_reason_is_met():

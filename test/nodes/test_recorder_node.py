@@ -31,12 +31,12 @@ def metadata(folder):
     return yaml.safe_load(text)["rosbag2_bagfile_information"]
 
 
-def told_counts(folder):
+def declared_counts(folder):
     """Messages by topic, as the bag's metadata has them."""
     return Counter(
         {
-            one["topic_metadata"]["name"]: one["message_count"]
-            for one in metadata(folder)["topics_with_message_count"]
+            topic["topic_metadata"]["name"]: topic["message_count"]
+            for topic in metadata(folder)["topics_with_message_count"]
         }
     )
 
@@ -50,7 +50,8 @@ def read_back(folder):
 @pytest.fixture
 def recorder(ros_test):
     """A recorder that is up, and its folder."""
-    process = ros_test.start_node(RECORDER, bag_dir="bag")
+    scenario = '"{/**/fvs_demo_node: {ros__parameters: {distance_m: 0.2}}}"'
+    process = ros_test.start_node(RECORDER, bag_dir="bag", scenario=scenario)
     ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
     return process, ros_test.folder / "bag"
 
@@ -97,10 +98,8 @@ def test_every_message_is_recorded_once(ros_test, recorder):
     assert times == sorted(times)
 
 
-def test_what_came_before_the_recorder_was_killed_is_read(ros_test):
-    scenario = '"{/**/fvs_demo_node: {ros__parameters: {distance_m: 0.2}}}"'
-    process = ros_test.start_node(RECORDER, bag_dir="bag", scenario=scenario)
-    ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
+def test_what_came_before_the_recorder_was_killed_is_read(ros_test, recorder):
+    process, bag = recorder
     status = ros_test.collect(DiagnosticStatus, f"{NAME}/status")
     ball = ros_test.node.create_publisher(PointStamped, Ball.topics.tool.name, DEEP)
     listened(ros_test, ball)
@@ -111,16 +110,16 @@ def test_what_came_before_the_recorder_was_killed_is_read(ros_test):
     ros_test.spin_until(lambda: len(status) > begun + 20, what="two seconds of its status")
     process.kill()
     ros_test.wait(process)
-    bag = ros_test.folder / "bag"
     assert not (bag / "metadata.yaml").exists()
     with open_bag(bag) as reader:
         assert reader.cut_off
-        assert [one.topic for one, _, _ in reader.messages()].count("/ball_position") == 30
+        names = [connection.topic for connection, _, _ in reader.messages()]
+        assert names.count("/ball_position") == 30
         assert "distance_m: 0.2" in reader.notes["scenario"]
 
 
 def test_a_full_disk_ends_the_recording_with_a_whole_bag(ros_test):
-    limit = "import fvs_tools.recorder_node as one; one._LEAST_FREE_MB = 1e12; one.main()"
+    limit = "import fvs_tools.recorder_node as r; r._LEAST_FREE_MB = 1e12; r.main()"
     process = subprocess.Popen(
         [sys.executable, "-c", limit, "--ros-args", "-p", "bag_dir:=bag"],
         cwd=ros_test.folder,
@@ -130,4 +129,4 @@ def test_a_full_disk_ends_the_recording_with_a_whole_bag(ros_test):
     )
     assert "MB are left on the disk" in process.communicate(timeout=30)[1]
     bag = ros_test.folder / "bag"
-    assert Counter(message.channel.topic for message in read_back(bag)) == told_counts(bag)
+    assert Counter(message.channel.topic for message in read_back(bag)) == declared_counts(bag)

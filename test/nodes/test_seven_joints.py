@@ -6,6 +6,7 @@ from itertools import count
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from harness import Statuses
 from recordings import relative_error
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
@@ -87,45 +88,31 @@ def test_a_bad_description_holds_the_arm_and_a_good_one_gives_its_limits(ros_tes
     controller = ros_test.start_node("fvs_controller_node.node", joint_names=names)
     description = ros_test.publisher(String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED)
     joints = ros_test.publisher(JointState, topics.JOINT_STATES.name)
-    statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
+    status = Statuses(ros_test, topics.CONTROLLER)
     stamps = count(1)
 
     def says(words):
         stamp_s = 0.01 * next(stamps)
         joints.publish(ros.to_joint_state(stamp_s, names, np.zeros(7), np.zeros(7)))
-        return bool(statuses) and words in statuses[-1].message
+        return words in status.text()
 
-    ros_test.spin_until(lambda: says("the joints' ranges are unknown"), what="unknown ranges")
-    for text, words in (  # what is no description of this arm blocks nothing
-        (String(data="no xml"), "no XML"),
-        (urdf(known=["another"]), "it has none of the arm's joints"),
+    unknown, refused = "the joints' ranges are unknown", "robot_description is not usable"
+    status.wait(lambda: says(unknown))
+    for message, words, said in (  # what is no description of this arm blocks nothing
+        (String(data="no xml"), "no XML", unknown),
+        (urdf(known=["another"]), "it has none of the arm's joints", unknown),
+        (urdf(known=names[:6]), "no moving joint joint_7", refused),
+        (urdf(upper=-2.0), "has limits -1 to -2", refused),
     ):
-        description.publish(text)
-        ros_test.spin_until(
-            lambda words=words: (
-                "left out: " in ros_test.output(controller) and words in ros_test.output(controller)
+        description.publish(message)
+        status.wait(
+            lambda said=said, words=words: (
+                says(said) and words in status.text() + ros_test.output(controller)
             ),
-            what=f"robot_description is left out: {words}",
+            what=words,
         )
-        assert not says("robot_description is not usable")
-        assert says("the joints' ranges are unknown")
-    for text, words in (
-        (urdf(known=names[:6]), "no moving joint joint_7"),
-        (urdf(upper=-2.0), "has limits -1 to -2"),
-    ):
-        description.publish(text)
-        ros_test.spin_until(
-            lambda words=words: says("robot_description is not usable") and says(words),
-            what=f"robot_description is refused: {words}",
-        )
-        assert ros.from_status(statuses[-1])["state"] in ("WAITING", "FAULT")
+        assert status.value("state") in ("WAITING", "FAULT")
     description.publish(urdf())
-    ros_test.spin_until(
-        lambda: (
-            not says("robot_description")
-            and "joint_velocity_limits_rad_s are those of robot_description"
-            in ros_test.output(controller)
-        ),
-        what="a good description",
-    )
-    assert not says("ranges are unknown")
+    words = "joint_velocity_limits_rad_s are those of robot_description"
+    status.wait(lambda: not says("robot_description") and words in ros_test.output(controller))
+    assert not says(unknown)
