@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 
 pytest.importorskip("rosbags")
 
@@ -26,7 +27,6 @@ from replayed_bags import (
     status,
     write_bag,
 )
-from rosbags.rosbag2 import StoragePlugin
 
 from fvs_lab.main import main
 from fvs_lab.replay import read, targets
@@ -51,10 +51,10 @@ def replayed(tmp_path, capsys):
 
 
 def without_statuses(messages):
-    return [one for one in messages if one.topic != "/fvs_controller_node/status"]
+    return [sent for sent in messages if sent.topic != "/fvs_controller_node/status"]
 
 
-def found_in(folder, messages, **notes):
+def targets_in(folder, messages, **notes):
     return targets(read(write_bag(folder, messages, **notes)))
 
 
@@ -78,7 +78,7 @@ def test_a_repeated_target_is_the_same_a_new_one_another_and_a_moving_one_is_one
     back = point("target_position", 3.0, None, START_M)  # by hand, without a stamp
     moving = [point("target_position", t, t, TARGET_M + 0.1 * t) for t in np.arange(4, 5, 0.05)]
     messages = [*without_statuses(servo()), again, back, *moving]
-    first, second, third = found_in(tmp_path / "bag", messages)
+    first, second, third = targets_in(tmp_path / "bag", messages)
     assert first.time_s[-1] - first.set_s <= 2.0 + 1e-6
     assert second.set_s - first.set_s == pytest.approx(2.0)
     assert second.score.start_distance_m == pytest.approx(0.3, abs=0.001)
@@ -92,8 +92,8 @@ def test_the_controller_s_status_shows_which_target_it_has(tmp_path, passed_s):
         status(t, "SERVOING", "SERVOING", TARGET_M if t < GIVEN_S + passed_s else START_M)
         for t in np.arange(GIVEN_S, END_S, 0.1)
     ]
-    found = found_in(tmp_path / "bag", [*without_statuses(servo()), *shown])
-    ends_s = [one.time_s[-1] - one.set_s for one in found]
+    judged = targets_in(tmp_path / "bag", [*without_statuses(servo()), *shown])
+    ends_s = [target.time_s[-1] - target.set_s for target in judged]
     assert ends_s == [pytest.approx(passed_s, abs=0.11)] * bool(passed_s)
 
 
@@ -116,7 +116,7 @@ def test_what_ended_a_target_is_said(tmp_path, replayed, states, reason, end_s):
 
 
 def test_what_the_bag_lacks_is_not_judged(tmp_path, replayed):
-    messages = [one for one in servo() if not re.search("ball|joint", one.topic)]
+    messages = [sent for sent in servo() if not re.search("ball|joint", sent.topic)]
     (row,), _ = replayed(write_bag(tmp_path / "bag", messages))
     assert row["settling_5mm_s"] == ""
     assert {row[name] for name in ("start_distance_m", "peak_joint_speed_rad_s")} == {"nan"}
@@ -158,26 +158,18 @@ def test_what_the_nodes_would_refuse_is_passed_over(tmp_path):
         message("target_position", "geometry_msgs/msg/Point", 1.0, 0.0, 0.0, 1.0),
         message("tool_pose", "std_msgs/msg/Float64", 1.0, 0.0),
     ]
-    (clean,) = found_in(tmp_path / "clean", servo())
+    (clean,) = targets_in(tmp_path / "clean", servo())
     recording = read(write_bag(tmp_path / "odd", [*servo(), *odd]))
     assert [one.score for one in targets(recording)] == [clean.score]
     assert recording.series["velocities"].values.shape == (625, 6)
 
 
 def test_arrivals_count_where_stamps_are_of_another_clock(tmp_path):
-    (true,) = found_in(tmp_path / "true", servo())
-    later = [one._replace(stamp_ns=one.stamp_ns + 10**12) for one in servo()]
-    (found,) = found_in(tmp_path / "later", later)
-    assert found.score.settling_5mm_s == pytest.approx(true.score.settling_5mm_s, abs=0.05)
-    assert found.reason == "SETTLED"
-
-
-@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_folder_and_its_one_file_are_read_alike(tmp_path, storage):
-    remaps = {"/target_position": "/goal"}
-    folder = write_bag(tmp_path / "bag", servo(target="goal"), storage, remaps=remaps)
-    (whole,), (lone,) = targets(read(folder)), targets(read(file_in(folder)))
-    assert whole.score == lone.score
+    (true,) = targets_in(tmp_path / "true", servo())
+    later = [sent._replace(stamp_ns=sent.stamp_ns + 10**12) for sent in servo()]
+    (target,) = targets_in(tmp_path / "later", later)
+    assert target.score.settling_5mm_s == pytest.approx(true.score.settling_5mm_s, abs=0.05)
+    assert target.reason == "SETTLED"
 
 
 def test_a_robot_is_chosen_by_its_namespace(tmp_path, replayed, capsys):
@@ -190,23 +182,24 @@ def test_a_robot_is_chosen_by_its_namespace(tmp_path, replayed, capsys):
     assert len(replayed(bag, "--namespace", "/left")[0]) == 1
 
 
-@pytest.mark.parametrize("tail", [b"", bytes(5000)], ids=["short", "zeros"])
-def test_a_file_that_ends_anywhere_is_read_up_to_there(tmp_path, capsys, tail):
-    bag = Bag(tmp_path / "bag", {})  # as a recorder leaves it that is killed
-    for one in sorted(servo(), key=lambda one: one.stamp_ns):
-        bag.write(one)
-    file = file_in(tmp_path / "bag")
+@each("tail", [b"", bytes(5000)])
+def test_a_file_that_ends_anywhere_is_read_up_to_there(tmp_path_factory, capsys, tail):
+    folder = tmp_path_factory.mktemp("bags")
+    bag = Bag(folder / "bag", {})  # as a recorder leaves it that is killed
+    for sent in sorted(servo(), key=lambda sent: sent.stamp_ns):
+        bag.write(sent)
+    file = file_in(folder / "bag")
     content = file.read_bytes()
     ends_s = []
-    for size in np.linspace(0.4 * len(content), len(content) - 1, 8).astype(int):
+    for size in np.linspace(0.4 * len(content), len(content) - 1, 4).astype(int):
         file.write_bytes(content[:size] + tail)
         assert read(file).cut_off
         ends_s.append(read(file).end_s)
     assert ends_s == sorted(ends_s)
     assert ends_s[-1] - ends_s[0] > 1.0
-    assert main(["replay", str(file), "--out", str(tmp_path / "out")]) == 0
+    assert main(["replay", str(file), "--out", str(folder / "out")]) == 0
     assert capsys.readouterr().out.startswith("The bag was cut off")
-    for size in (8, 20, 100) if tail else (0, 5, 8, 20, 100):
+    for size in (8, 20, 100):
         file.write_bytes(content[:size] + tail)
         with pytest.raises(ValueError, match="cut off before any message"):
             read(file)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recordings import relative_error, seen_from_anywhere
+from replayed_bags import joint_states, point
 from scipy.spatial.transform import Rotation
 from test_calibration import ARM, TAG, collected, errors
-from test_recorded import T, message
 
 from fvs_estimator_node.chain_fit import ChainFitError, fit_chain
 from fvs_estimator_node.files import DataSet, load_data_set, save_data_set
@@ -77,17 +77,13 @@ def test_a_chain_is_fitted_to_still_poses(tmp_path):
 
 def test_a_bag_of_still_poses_leaves_out_images_in_motion(tmp_path):
     """An image every three seconds; at the last two the arm moved on."""
-    data, nothing = stills("ball", count=14), np.empty(0)
-    point = T["geometry_msgs/msg/Point"]
+    data = stills("ball", count=14)
     with closing(Bag(tmp_path / "bag", {})) as bag:
         for k, (joints, ball) in enumerate(zip(data.joints_rad, data.z, strict=True)):
-            for at_s in np.arange(0.0, 0.5, 0.02):
-                moved = joints + (0.3 * (at_s - 0.4) if k >= 12 else 0.0)
-                kind = "sensor_msgs/msg/JointState"
-                parts = [*ARM.names], moved, nothing, nothing
-                bag.write(message("/joint_states", kind, 3.0 * (k + 1) + at_s, *parts))
-            kind = "geometry_msgs/msg/PointStamped"
-            bag.write(message("/ball_position", kind, 3.0 * (k + 1) + 0.4, point(*ball)))
+            for stamp_s in 3.0 * (k + 1) + np.arange(-0.4, 0.1, 0.02):
+                moved = joints + (0.3 * (stamp_s - 3.0 * (k + 1)) if k >= 12 else 0.0)
+                bag.write(joint_states(stamp_s, stamp_s, ARM.names, moved))
+            bag.write(point("ball_position", 3.0 * (k + 1), 3.0 * (k + 1), ball))
     read = read_data_set(tmp_path / "bag", ARM.names)
     assert read.still
     np.testing.assert_allclose(read.joints_rad, data.joints_rad[:12])
