@@ -2,10 +2,8 @@
 
 import cv2
 import numpy as np
+from drawn_balls import VGA
 
-from fvs_ros.camera import Intrinsics
-
-VGA = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
 SIZE_M = 0.06
 _CELL_PX, _SAMPLES = 60, 4
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import ur5_dh
+from scipy.spatial.transform import Rotation
 
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
@@ -21,11 +22,9 @@ def random_rotation(rng: np.random.Generator) -> np.ndarray:
     return q if np.linalg.det(q) > 0.0 else -q
 
 
-def turn(axis: np.ndarray, angle_rad: float) -> np.ndarray:
-    """Rotation matrix about an axis, shape (3, 3)."""
-    x, y, z = np.asarray(axis) / np.linalg.norm(axis)
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle_rad) * k + (1.0 - np.cos(angle_rad)) * k @ k
+def rotation_about(axis, angle_rad: float) -> np.ndarray:
+    """Rotation matrix, shape (3, 3)."""
+    return Rotation.from_rotvec(angle_rad * np.array(axis) / np.linalg.norm(axis)).as_matrix()
 
 
 def ur5_chain(

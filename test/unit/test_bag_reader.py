@@ -63,10 +63,10 @@ def by_another(folder, whole, others=False, **options):
         writer.start(profile="")
         channels = {}
         with open_bag(made(folder / "whole")) as reader:
-            for one in reader.connections:
-                text = one.msgdef.data.encode()
-                schema = writer.register_schema(one.msgtype, "ros2msg", text)
-                channels[one.topic] = writer.register_channel(one.topic, "cdr", schema)
+            for known in reader.connections:
+                text = known.msgdef.data.encode()
+                schema = writer.register_schema(known.msgtype, "ros2msg", text)
+                channels[known.topic] = writer.register_channel(known.topic, "cdr", schema)
         if others:
             schema = writer.register_schema("Any", "jsonschema", b"{}")
             json = writer.register_channel("/any", "json", schema)
@@ -109,8 +109,8 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_whatever_a_recorder_left_is_read(tmp_path, whole, kind):
     path = KINDS[kind](tmp_path / "bag", whole)
-    found = [one for one in content(path) if not one[0].startswith("/any")]
-    assert sorted(found) == sorted(whole)
+    messages = [sent for sent in content(path) if not sent[0].startswith("/any")]
+    assert sorted(messages) == sorted(whole)
 
 
 def test_a_file_that_is_broken_within_is_said_to_be_cut_off(tmp_path, whole):

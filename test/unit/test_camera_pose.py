@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import ur5_dh
 from cases import each
-from recordings import Recording, relative_error, turn, ur5_chain
+from recordings import Recording, relative_error, rotation_about, ur5_chain
 
 from fvs_estimator_node.camera import (
     CameraPose,
@@ -16,7 +16,7 @@ from fvs_estimator_node.training import distil
 
 NOISE_M = 0.001
 BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD
-TURNED = turn([0.3, 0.1, 1.0], np.radians(45.0))
+TURNED = rotation_about([0.3, 0.1, 1.0], np.radians(45.0))
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,8 @@ def off_deg(camera, rotation):
 @each("degrees", [1.0, 20.0, 90.0, 180.0])
 def test_any_turn_and_shift_is_found_in_half_a_metre(degrees):
     rng = np.random.default_rng(int(degrees))
-    rotation, shift = turn(rng.normal(size=3), np.radians(degrees)), 0.3 * rng.normal(size=3)
+    rotation = rotation_about(rng.normal(size=3), np.radians(degrees))
+    shift = 0.3 * rng.normal(size=3)
     camera, balls = CameraPose(), path(40, rng)
     watch(camera, balls, rotation, shift, rng)
     assert off_deg(camera, rotation) < 1.5
@@ -106,7 +107,8 @@ def test_the_jacobian_behind_a_turned_camera(networks, method, within):
 
 @each("bumped_s", [np.inf, 10.0])
 def test_each_bump_is_counted_and_nothing_else(bumped_s):
-    recording, turned = Recording(seconds=20.0, outliers=0.0, late_s=0.0), turn([0, 1, 0], 0.3)
+    recording = Recording(seconds=20.0, outliers=0.0, late_s=0.0)
+    turned = rotation_about([0.0, 1.0, 0.0], 0.3)
     data, estimator = recording.data(), PoeEstimator(recording.chain())
     for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.z, strict=True):
         seen = turned @ ball if stamp_s > bumped_s else ball

@@ -37,20 +37,6 @@ def test_the_jacobian_is_the_derivative_of_the_position(count, features):
     np.testing.assert_allclose(jacobian, chain.jacobian(joints)[0], atol=1e-12)
 
 
-def test_directions_are_turned_but_not_shifted():
-    chain = random_chain(features=12)
-    position, jacobian = chain.position_and_jacobian(np.ones(6))
-    for number in range(1, 4):
-        end = chain.feature_m[:3] + chain.feature_m[3 * number : 3 * number + 3]
-        arrow = SerialChain(
-            chain.axes, chain.points_m, end, chain.reference_rad, chain.prismatic
-        ).position(np.ones(6))
-        np.testing.assert_allclose(
-            arrow - position[:3], position[3 * number : 3 * number + 3], atol=1e-9
-        )
-    assert not jacobian[3:, chain.prismatic > 0.0].any()
-
-
 def test_it_is_the_arm_of_the_dh_table():
     chain = ur5_chain(reference_rad=np.array([0.3, -1.0, 1.2, -2.0, 0.5, 1.0]))
     joints = np.random.default_rng(0).uniform(-3.0, 3.0, (200, 6))

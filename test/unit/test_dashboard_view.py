@@ -56,11 +56,9 @@ def test_what_comes_from_outside_is_no_markup(board):
         assert "&lt;b&gt;x" in html
 
 
-def test_what_the_controller_says_of_its_inputs_is_shown_while_it_speaks(board):
+def test_a_controller_that_is_silent_is_said_to_be(board):
     board.add_status(0.0, controller())
-    shown = markup.inputs_html(board, "ball_position", 0.0)
-    for words in ("20 ms ago", "500 ms ago", "runs, 100 %", "41 ms", "velocity"):
-        assert words in shown
+    assert "20 ms ago" in markup.inputs_html(board, "ball_position", 0.0)
     assert "ago" not in markup.inputs_html(board, "ball_position", 9.0)
     assert board.controller(9.0).sentence == "no word from the controller for 9 s"
     assert board.controller(9.0).target_m is None

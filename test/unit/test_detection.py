@@ -65,12 +65,12 @@ def test_no_depth_or_that_of_something_else_does_not_move_the_ball(share, factor
     assert error_mm(find([(CENTRE, RADIUS_M)], spoil), CENTRE) < 0.6
 
 
-@each(("share", "found"), [(0.5, False), (0.7, False), (0.95, True), (1.05, True), (1.4, False)])
-def test_a_ball_of_another_size_is_not_the_ball_and_a_slightly_wrong_radius_is(share, found):
+@each(("share", "is_ball"), [(0.5, False), (0.7, False), (0.95, True), (1.05, True), (1.4, False)])
+def test_a_ball_of_another_size_is_not_the_ball_and_a_slightly_wrong_radius_is(share, is_ball):
     for z in (0.7, 1.0, 1.3, 1.6):
         centre = np.array([0.05, 0.02, z])
         ball = find([(centre, share * RADIUS_M)])
-        assert error_mm(ball, centre) < 4.0 if found else ball is None
+        assert error_mm(ball, centre) < 4.0 if is_ball else ball is None
 
 
 def test_a_ball_is_found_among_many_larger_red_things_and_before_one():

@@ -42,24 +42,6 @@ def test_joints_that_lag_within_what_is_known_or_are_slow_follow(gaps, lag_s, kn
     assert follow(0, lag_s, known_s, gains=gain, gaps=gaps)[1] is None
 
 
-def test_a_busy_computer_that_delays_commands_as_much_as_joint_states_stops_no_arm():
-    """A tenth of a second, for a second of ten."""
-    rng, busy = np.random.default_rng(1), Following()
-    velocity, q = np.zeros(6), np.zeros(6)
-    waiting, held = [velocity] * 17, velocity
-    for tick in range(2500):
-        stamp_s = 0.008 * tick
-        late_s = 0.1 if stamp_s % 10.0 > 9.0 else 0.0
-        if tick % 62 == 0:
-            goal = rng.uniform(-FAST, FAST, 6)
-        velocity = velocity + np.clip(goal - velocity, -0.048, 0.048)
-        waiting = [*waiting[1:], velocity]
-        held = waiting[-4] if not late_s or tick % 13 == 0 else held  # then many come at once
-        q = q + 0.008 * held
-        busy.add(stamp_s + late_s, stamp_s, velocity, q, 0.04)
-        assert busy.fault is None, stamp_s
-
-
 @each("seed", range(2))
 @each("dt_s", [0.001, 0.008])
 @each("answers", [0.0, -1.0])

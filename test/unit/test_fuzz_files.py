@@ -27,7 +27,6 @@ FEW = settings(
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 DESCRS = ("<f8", ">f8", "<f4", "<f2", "<i8", "|b1", "<c16", "<U1", "|S3", "|O", "<M8[s]", "|V8")
-NUMBERS = st.floats(-2.0, 2.0) | st.sampled_from([np.nan, np.inf, 1e308, -1e308, 0.0, -1.0])
 
 
 @pytest.fixture(params=[load_model, load_data_set])
@@ -68,12 +67,6 @@ def pack(members):
     return stream.getvalue()
 
 
-def npy(array):
-    stream = io.BytesIO()
-    np.save(stream, array, allow_pickle=False)
-    return stream.getvalue()
-
-
 def claim(descr, shape, content=b""):
     """An array file whose header says anything."""
     stream = io.BytesIO()
@@ -96,21 +89,14 @@ def test_bytes_that_were_cut_flipped_or_added(kind, tmp_path, cut, flips, tail):
     read(load, tmp_path / "file.npz", bytes(content[: int(cut * len(content))]) + tail)
 
 
-def odd_member(data, old):
-    """Another array in place of the bytes of an old one."""
-    content = data.draw(st.sampled_from(["numbers", "bytes", "header", "text"]))
-    if content == "numbers":
-        array = np.load(io.BytesIO(old)).copy()
-        if array.dtype.kind == "f" and array.size:
-            array.flat[data.draw(st.integers(0, array.size - 1))] = data.draw(NUMBERS)
-        return npy(array)
-    if content == "bytes":
-        return data.draw(st.binary(max_size=200))
-    if content == "text":
-        return npy(np.array(data.draw(st.text(max_size=20) | st.just("long" * 10000))))
+def odd_member(data):
+    """Another array, or none, in place of the bytes of an old one."""
+    content = data.draw(st.binary(max_size=400))
+    if data.draw(st.booleans()):
+        return content
     sides = st.integers(-3, 8) | st.sampled_from([2**31, 2**40, 2**62])
     shape = tuple(data.draw(st.lists(sides, max_size=3)))
-    return claim(data.draw(st.sampled_from(DESCRS)), shape, data.draw(st.binary(max_size=400)))
+    return claim(data.draw(st.sampled_from(DESCRS)), shape, content)
 
 
 @FEW
@@ -122,7 +108,7 @@ def test_members_of_any_type_shape_and_content(kind, tmp_path, data):
     for _ in range(data.draw(st.integers(1, 3))):
         name = data.draw(st.sampled_from(sorted(fields)))
         if data.draw(st.booleans()):
-            members[name] = odd_member(data, fields[name])
+            members[name] = odd_member(data)
         else:
             members.pop(name, None)
     twice = list(members.items())[: data.draw(st.integers(0, 1))]

@@ -5,6 +5,7 @@ import struct
 import cv2
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sensor_msgs.msg import CompressedImage, Image
@@ -34,8 +35,8 @@ def depth_file(values, a=0.0, b=0.0):
     return struct.pack("<iff", 0, a, b) + file_of(values)
 
 
-@pytest.mark.parametrize("padding", [0, 5])
-@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8"])
+@each("padding", [0, 5])
+@each("encoding", ["rgb8", "bgr8", "rgba8", "bgra8"])
 def test_colours_come_out_red_first(encoding, padding):
     pixels = RGB[..., ::-1] if "bgr" in encoding else RGB
     if "a8" in encoding:
@@ -47,7 +48,7 @@ def test_colours_come_out_red_first(encoding, padding):
         np.testing.assert_array_equal(decoded, RGB)
 
 
-@pytest.mark.parametrize("order", ["<", ">"])
+@each("order", ["<", ">"])
 def test_depth_comes_out_in_metres_and_what_is_none_is_zero(order):
     for encoding in ("16UC1", "mono16"):
         rows = b"".join(row.astype(f"{order}u2").tobytes() + b"\xee\xee" for row in MILLIMETRES)
@@ -59,8 +60,8 @@ def test_depth_comes_out_in_metres_and_what_is_none_is_zero(order):
     assert depth.ravel().tolist() == [0.5, 1.25, 0, 0, 0, 0, 0, 0]
 
 
-@pytest.mark.parametrize(
-    ("decode", "width", "height", "step", "encoding", "said"),
+@each(
+    ("decode", "width", "height", "step", "encoding", "words"),
     [
         (from_color, 3, 2, 9, "nv24", "rgb8, bgr8"),
         (from_color, 3, 3, 6, "yuv422", "cannot be yuv422"),
@@ -70,54 +71,41 @@ def test_depth_comes_out_in_metres_and_what_is_none_is_zero(order):
         (from_color, 2**32 - 1, 2**32 - 1, 2**32 - 1, "rgb8", "too large"),
     ],
 )
-def test_a_head_that_does_not_fit_is_refused_in_short(decode, width, height, step, encoding, said):
-    with pytest.raises(MessageError, match=said) as refusal:
+def test_a_head_that_does_not_fit_is_refused_in_short(decode, width, height, step, encoding, words):
+    with pytest.raises(MessageError, match=words) as refusal:
         decode(image(RGB.tobytes(), width, height, step, encoding))
     assert len(str(refusal.value)) < 200
 
 
 #: A colour, and its luminance and chrominances by BT.601.
 COLOUR, (Y, U, V) = (200, 100, 50), (123, 91, 175)
+RED, GREEN, BLUE = COLOUR
+#: Rows of 4 pixels as a camera sends them, all of this colour or of a grey.
+SENT = {
+    "mono8": [[90] * 4] * 2,
+    "8UC1": [[90] * 4] * 2,
+    "8UC3": [[BLUE, GREEN, RED] * 4] * 2,
+    "8UC4": [[BLUE, GREEN, RED, 255] * 4] * 2,
+    "yuv422": [[U, Y, V, Y] * 2] * 2,
+    "uyvy": [[U, Y, V, Y] * 2] * 2,
+    "yuv422_yuy2": [[Y, U, Y, V] * 2] * 2,
+    "yuyv": [[Y, U, Y, V] * 2] * 2,
+    "nv12": [[Y] * 4, [Y] * 4, [U, V] * 2],
+    "nv21": [[Y] * 4, [Y] * 4, [V, U] * 2],
+    "bayer_rggb8": [[RED, GREEN] * 2, [GREEN, BLUE] * 2] * 2,
+    "bayer_bggr8": [[BLUE, GREEN] * 2, [GREEN, RED] * 2] * 2,
+    "bayer_gbrg8": [[GREEN, BLUE] * 2, [RED, GREEN] * 2] * 2,
+    "bayer_grbg8": [[GREEN, RED] * 2, [BLUE, GREEN] * 2] * 2,
+}
 
 
-def sent(encoding):
-    """A picture of one colour or grey, 4 pixels wide and 2 or 4 high, as a camera sends it."""
-    red, green, blue = COLOUR
-    whole = {
-        "mono8": [90] * 8,
-        "8UC1": [90] * 8,
-        "8UC3": [blue, green, red] * 8,
-        "8UC4": [blue, green, red, 255] * 8,
-        "yuv422": [U, Y, V, Y] * 4,
-        "uyvy": [U, Y, V, Y] * 4,
-        "yuv422_yuy2": [Y, U, Y, V] * 4,
-        "yuyv": [Y, U, Y, V] * 4,
-        "nv12": [Y] * 8 + [U, V] * 2,
-        "nv21": [Y] * 8 + [V, U] * 2,
-    }
-    if encoding in whole:
-        return np.array(whole[encoding], np.uint8).reshape(3 if "nv" in encoding else 2, -1)
-    if encoding.startswith("bayer"):
-        ((a, b), (c, d)) = (
-            [{"r": red, "g": green, "b": blue}[one] for one in pair]
-            for pair in (encoding[6:8], encoding[8:10])
-        )
-        return np.tile(np.array([[a, b], [c, d]], np.uint8), (2, 2))
-    raise KeyError(encoding)
-
-
-@pytest.mark.parametrize(
-    "encoding",
-    ["mono8", "8UC1", "8UC3", "8UC4", "yuv422", "uyvy", "yuv422_yuy2", "yuyv", "nv12", "nv21"]
-    + [f"bayer_{one}8" for one in ("rggb", "bggr", "gbrg", "grbg")],
-)
+@each("encoding", SENT)
 def test_what_cameras_send_comes_out_red_first(encoding):
-    rows = sent(encoding)
-    padded = np.pad(rows, ((0, 0), (0, 3)))
+    rows = np.array(SENT[encoding], np.uint8)
     expected = COLOUR if encoding not in ("mono8", "8UC1") else (90, 90, 90)
-    for each in (rows, padded):
-        height = 2 if "nv" in encoding else len(rows)
-        decoded = from_color(image(each.tobytes(), 4, height, each.shape[1], encoding))
+    height = 2 if "nv" in encoding else len(rows)
+    for sent in (rows, np.pad(rows, ((0, 0), (0, 3)))):
+        decoded = from_color(image(sent.tobytes(), 4, height, sent.shape[1], encoding))
         assert decoded.shape == (height, 4, 3)
         assert np.abs(decoded.astype(int) - expected).max() <= 3
 
@@ -128,8 +116,8 @@ PICTURE[:, 16:] = (20, 60, 210)
 PLAIN = np.r_[:12, 20:32]
 
 
-@pytest.mark.parametrize("extension", [".png", ".jpg"])
-@pytest.mark.parametrize(
+@each("extension", [".png", ".jpg"])
+@each(
     ("image_format", "exchanged"),
     [("rgb8; x compressed bgr8", False), ("jpeg", False), ("bgr8; x compressed", True)],
 )
@@ -168,11 +156,7 @@ def test_whatever_comes_is_an_image_of_its_size_or_an_error(data, fitting):
     width, height, step = data.draw(sizes), data.draw(sizes), data.draw(sizes)
     length = step * height if fitting else data.draw(st.integers(0, 5000))
     raw = data.draw(st.binary(min_size=1, max_size=64)) * (length // 64 + 1)
-    encoding = data.draw(
-        st.sampled_from(
-            ["rgb8", "bgra8", "16UC1", "32FC1", "mono16", "nv12", "yuyv", "bayer_rggb8", "x"]
-        )
-    )
+    encoding = data.draw(st.sampled_from(["rgb8", "bgra8", "16UC1", "32FC1", "mono16", "x", *SENT]))
     message = image(raw[:length], width, height, step, encoding, data.draw(st.booleans()))
     for pixels in decoded(message):
         assert pixels.shape[:2] == (height, width)

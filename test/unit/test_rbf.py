@@ -1,3 +1,5 @@
+"""The networks' update law, (17), by hand and by its Lyapunov function."""
+
 import math
 
 import numpy as np
@@ -28,15 +30,6 @@ def features_by_hand(model, r):
     return theta
 
 
-def test_features_and_columns_are_equations_8_and_9():
-    model, r = random_networks(), np.random.default_rng(1).uniform(-1.0, 1.0, 6)
-    theta = features_by_hand(model, r)
-    np.testing.assert_allclose(model.features(r), theta, rtol=1e-12)
-    columns = np.stack([model.weights[i] @ theta[i] for i in range(6)], axis=1)
-    np.testing.assert_allclose(model.jacobian(r), columns, rtol=1e-12)
-    np.testing.assert_allclose(RbfEstimator(model).jacobian(r), columns, rtol=1e-12)
-
-
 @each("target", ["offline", "zero"])
 def test_the_update_is_equation_17_by_hand(target):
     model, rng = random_networks(), np.random.default_rng(2)
@@ -45,9 +38,11 @@ def test_the_update_is_equation_17_by_hand(target):
     for _ in range(3):
         step = random_step(rng, sliding=True)
         before = estimator.weights
-        theta = features_by_hand(model, step.joints_rad)
+        theta = features_by_hand(model, step.joints_rad)  # (8)
+        columns = np.stack([before[i] @ theta[i] for i in range(6)], axis=1)  # (9)
+        np.testing.assert_allclose(estimator.jacobian(step.joints_rad), columns, rtol=1e-12)
         v = step.d_joints_rad / step.dt_s
-        e = step.d_feature_m / step.dt_s - sum(before[i] @ theta[i] * v[i] for i in range(6))
+        e = step.d_feature_m / step.dt_s - columns @ v
         expected = np.empty_like(before)
         for i in range(6):
             for j in range(3):

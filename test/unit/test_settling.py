@@ -8,7 +8,7 @@ from cases import each
 from scipy.integrate import quad, solve_ivp
 
 from fvs_controller_node.ftsm import ReachingLaw
-from fvs_controller_node.settling import reaching_time_s, settling_time_s, sliding_time_s
+from fvs_controller_node.settling import reaching_time_s, sliding_time_s
 from fvs_controller_node.surface import SlidingSurface
 
 REALISTIC = SlidingSurface()
@@ -89,20 +89,3 @@ def test_the_surface_is_reached_when_promised(law: ReachingLaw):
     )
     assert run.y[0, 1] < -1e-6
     assert abs(run.y[0, 2]) < 1e-7
-
-
-def test_the_total_bounds_the_real_thing():
-    surface, law, y0 = PAPER, ReachingLaw(1.63, 0.067, 0.125, 0.82), 0.25
-
-    def rate(_t, state):
-        y, s = state
-        slide = surface.alpha2 * y + surface.alpha3 * surface.psi(float(y))
-        return [(s - slide) / surface.alpha1, reaching_rate(s, law)]
-
-    def arrived(_t, state):
-        return state[0] - 1e-7
-
-    arrived.terminal = True  # type: ignore[attr-defined]
-    start = [y0, surface.value(y0, 0.0)]
-    run = solve_ivp(rate, (0.0, 20.0), start, events=arrived, rtol=1e-8, atol=1e-10, max_step=0.01)
-    assert run.t[-1] <= settling_time_s(y0, surface, law) < 1.6 * run.t[-1]

@@ -47,7 +47,6 @@ def drive_waves(simulation, periods):
     return steps
 
 
-# -------------------------------------------------------------------------- time
 def test_time_rates_and_latency(make):
     simulation = make(rendered=False)
     for latency_s in (0.0, 0.04, 0.12):
@@ -63,7 +62,6 @@ def test_time_rates_and_latency(make):
         assert latency_s - 1e-9 <= min(ages) <= max(ages) < latency_s + PERIOD_S + 1e-9
 
 
-# ---------------------------------------------------------------------- the ball
 def test_the_ball_comes_from_the_image(make):
     simulation = make(image_width=320, image_height=240)
     assert simulation.intrinsics.fx == pytest.approx(307.5)
@@ -73,20 +71,16 @@ def test_the_ball_comes_from_the_image(make):
 
 
 def assert_white(errors, deviation):
-    many = 3.5 / np.sqrt(len(errors))  # chance gets there once in two thousand times
-    np.testing.assert_allclose(errors.std(axis=0), deviation, rtol=many / np.sqrt(2.0))
-    for both in (errors, np.column_stack([errors[1:], errors[:-1]])):
-        apart = np.corrcoef(both.T) - np.eye(both.shape[1])
-        assert np.abs(apart).max() < many
+    few = 3.5 / np.sqrt(len(errors))  # chance gets there once in two thousand times
+    np.testing.assert_allclose(errors.std(axis=0), deviation, rtol=few / np.sqrt(2.0))
+    axes_and_times = np.column_stack([errors[1:], errors[:-1]])
+    np.testing.assert_allclose(np.corrcoef(axes_and_times.T), np.eye(2 * errors.shape[1]), atol=few)
 
 
-def test_position_noise_is_white_on_each_axis(make):
+def test_noise_of_positions_and_encoders_is_white_and_moves_no_joint(make):
     simulation = make(position_noise_m=0.01, depth_noise=0.0, rendered=False)
     seen = [simulation.look() for _ in range(1000)]
     assert_white(np.array([o.z - o.true_position_m for o in seen]), 0.01)
-
-
-def test_encoder_noise_is_white_on_what_is_reported_and_moves_no_joint(make):
     noisy, quiet = make(rendered=False, encoder_noise_rad=0.01), make(rendered=False)
     reported = np.array([s.joints_rad for s in drive_waves(noisy, 500)])
     assert_white(reported - [s.joints_rad for s in drive_waves(quiet, 500)], 0.01)
@@ -95,19 +89,19 @@ def test_encoder_noise_is_white_on_what_is_reported_and_moves_no_joint(make):
 
 def test_a_position_drive_follows_and_refuses_what_is_far_away(make):
     simulation = make(rendered=False, command_interface="position")
-    start, way = simulation.joints_rad, np.array([0.2, -0.1, 0.1, 0.0, 0.3, 0.1])
+    start, travel = simulation.joints_rad, np.array([0.2, -0.1, 0.1, 0.0, 0.3, 0.1])
     run(simulation, 20)
     np.testing.assert_allclose(simulation.joints_rad, start)
     for share in np.linspace(0.0, 1.0, 60):
-        assert simulation.command(start + share * way) is None
+        assert simulation.command(start + share * travel) is None
         simulation.advance()
-    assert np.abs(simulation.joints_rad - start - way).max() < 0.03
+    assert np.abs(simulation.joints_rad - start - travel).max() < 0.03
     run(simulation, 100)
-    np.testing.assert_allclose(simulation.joints_rad, start + way, atol=1e-3)
+    np.testing.assert_allclose(simulation.joints_rad, start + travel, atol=1e-3)
     assert "2.00 rad away" in simulation.command(simulation.joints_rad + 2.0)
     assert "5 values deactivated the position controller" in simulation.command(np.zeros(5))
     run(simulation, 50)
-    np.testing.assert_allclose(simulation.joints_rad, start + way, atol=1e-3)
+    np.testing.assert_allclose(simulation.joints_rad, start + travel, atol=1e-3)
 
 
 @each("rendered", [True, False])
@@ -125,7 +119,6 @@ def test_a_ball_out_of_view_or_behind_a_hand_is_lost_and_found_again(make, rende
         simulation.configure(before)
 
 
-# ------------------------------------------------------------------- determinism
 def trace(simulation):
     steps = drive_waves(simulation, 60)
     joints = np.array([s.joints_rad for s in steps])

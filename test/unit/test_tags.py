@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from cases import each
 from drawn_tags import SIZE_M, VGA, corners_px, draw, random_pose
 
 from fvs_detector_node.config import DetectorConfig
@@ -76,25 +77,14 @@ def smeared(image, rng):
     return cv2.filter2D(image, -1, kernel / kernel.sum())
 
 
-def blurred(image, _rng):
-    return cv2.GaussianBlur(image, (0, 0), 2.5)
-
-
-def pale(image, _rng):
-    """With 24 grey levels between ink and paper."""
-    return 100.0 + 24.0 / 178.0 * image
-
-
 def shiny(image, rng):
     """With a reflection of the lamp on the print."""
     u, v = np.argwhere(image < 40).mean(axis=0)[::-1] + rng.uniform(-5.0, 5.0, 2)
     return cv2.circle(image.copy(), (round(u), round(v)), 8, 255, cv2.FILLED)
 
 
-@pytest.mark.parametrize(
-    ("disturbed", "read"), [(smeared, 22), (blurred, 15), (pale, 15), (shiny, 20)]
-)
-def test_disturbed_images_are_read_as_exactly_as_the_covariance_says(disturbed, read):
+@each(("disturbed", "least_poses"), [(smeared, 22), (shiny, 20)])
+def test_disturbed_images_are_read_as_exactly_as_the_covariance_says(disturbed, least_poses):
     rng, deviations, poses = np.random.default_rng(8), [], 0
     for k in range(40):
         rotation, position_m = random_pose(rng, 1.0)
@@ -111,7 +101,7 @@ def test_disturbed_images_are_read_as_exactly_as_the_covariance_says(disturbed, 
             poses += 1
             assert angle_rad(pose.rotation, rotation) < np.radians(5.0)  # no mirror image
             assert abs(pose.position_m @ position_m / (position_m @ position_m) - 1.0) < 0.02
-    assert poses >= read
+    assert poses >= least_poses
     assert 0.5 < np.median(deviations) < 2.0
     assert np.max(deviations) < 6.0
 
