@@ -13,9 +13,8 @@ import cv2
 import numpy as np
 
 from bench.timing import spread
-from fvs_detector_node.ball_detector import BallDetector
+from fvs_detector_node.ball_detector import BallDetector, detect_ball
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detection import detect_ball
 from fvs_ros.camera import CameraModel
 from fvs_ros.ros import to_image
 from fvs_ros.ros.images import from_color, from_depth
@@ -46,9 +45,9 @@ def accuracy(poses, noise):
     errors_mm = []
     for rgb, depth_m, ball_m in images(offsets_rad):
         measured_m = add_depth_noise(depth_m, CONFIG.intrinsics.fx, rng, noise)
-        found, _ = detect_ball(rgb, measured_m, CONFIG.intrinsics, CONFIG.ball_radius_m)
-        if found is not None and found.visible_fraction > 0.97:
-            errors_mm.append(1e3 * np.linalg.norm(found.position_m - ball_m))
+        ball = detect_ball(rgb, measured_m, CONFIG.intrinsics, CONFIG.ball_radius_m).detection
+        if ball is not None and ball.visible_fraction > 0.97:
+            errors_mm.append(1e3 * np.linalg.norm(ball.position_m - ball_m))
     return np.array(errors_mm)
 
 
@@ -63,7 +62,7 @@ def one_image(repeats):
     spent_ms = []
     for _ in range(repeats):
         begin_s = time.process_time()
-        detector.look(next(frame) / 30, from_color(color), from_depth(depth), camera)
+        detector.detect(next(frame) / 30, from_color(color), from_depth(depth), camera)
         spent_ms.append(1e3 * (time.process_time() - begin_s))
     return spent_ms
 

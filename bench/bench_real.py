@@ -109,7 +109,7 @@ def jazzy(folder):
     detector = TagDetector(DetectorConfig(feature="pose", tag=tag))
     for number, frame in enumerate(frames):
         image = cv2.cvtColor(cv2.imread(str(folder / frame["image"])), cv2.COLOR_BGR2RGB)
-        pose = detector.look(float(number), image, None, model).detection
+        pose = detector.detect(float(number), image, None, model).detection
         if pose is not None:
             position, quaternion = (list(part.values()) for part in frame["base_to_tcp"].values())
             hands.append(np.linalg.inv(matrices(position, Rotation.from_quat(quaternion))))

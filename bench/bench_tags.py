@@ -52,7 +52,7 @@ def drawn(rng):
         pose = random_pose(rng, 1.2)
         grey = draw([(0, *pose)], rng=rng)[..., 0].copy()
         begin_s = time.perf_counter()
-        corners, _ = reader.find(grey)
+        corners, _ = reader.read(grey)
         spent_ms.append(1e3 * (time.perf_counter() - begin_s))
         if not corners:
             unread += 1
@@ -101,7 +101,7 @@ def photographed(folder):
                 continue
             number, count = theirs.tag_id, count + 1
             reader = readers.setdefault(number, TagReader(Tag(tag_id=number)))
-            corners, _ = reader.find(grey)
+            corners, _ = reader.read(grey)
             if not corners:
                 continue
             # Theirs begin elsewhere, and count from the pixels' corners instead of the middles.

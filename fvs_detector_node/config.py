@@ -5,12 +5,32 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from fvs_detector_node.detection import BallColour
 from fvs_detector_node.tags import Tag
 from fvs_ros import topics
 from fvs_ros.camera import CameraTopicsConfig
 from fvs_ros.kinds import KINDS, KindConfig
-from fvs_ros.params import parameter
+from fvs_ros.params import Parameters, parameter
+
+
+@dataclass(frozen=True)
+class BallColour(Parameters):
+    """Range of the ball's colour, in OpenCV's HSV units."""
+
+    hue: int = parameter(
+        0,
+        "middle of the ball's hues in half degrees: red 0, yellow 30, green 60, blue 120",
+        0,
+        179,
+        live=True,
+    )
+    hue_width: int = parameter(10, "largest distance from hue, half degrees", 1, 89, live=True)
+    # Low enough for the shaded side.
+    min_saturation: int = parameter(
+        110, "least saturation of the ball's colour; 0: grey", 0, 255, live=True
+    )
+    min_value: int = parameter(
+        35, "least brightness of the ball's colour; 0: black", 0, 255, live=True
+    )
 
 
 @dataclass(frozen=True)
@@ -32,13 +52,6 @@ class DetectorConfig(CameraTopicsConfig):
         "radius of the ball; measure it: a wrong radius gives a wrong distance",
         0.005,
         0.5,
-        live=True,
-    )
-    min_quality: float = parameter(
-        0.3,
-        "quality below which a ball is not published; 1: a fully visible, perfect sphere",
-        0.0,
-        1.0,
         live=True,
     )
     stamp_delay_s: float = parameter(

@@ -2,18 +2,53 @@
 
 from __future__ import annotations
 
+import textwrap
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import cv2
 import numpy as np
 
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.images import Rectifier, Region
-from fvs_detector_node.sighting import Detection, Sighting
 from fvs_ros.camera import CameraModel, Intrinsics
+
+
+class Detection(Protocol):
+    """A body that is seen in an image."""
+
+    @property
+    def position_m(self) -> np.ndarray:
+        """Its middle, camera optical frame, (3,)."""
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """From the body's to the camera's frame, (3, 3)."""
+
+    @property
+    def visible_fraction(self) -> float:
+        """Of its area in the image."""
+
+    def box(self, camera: Intrinsics) -> Region:
+        """The part of a camera's image that shows it; it may go beyond."""
+
+    def draw(self, picture: np.ndarray, camera: Intrinsics, style: dict[str, Any]) -> str:
+        """Draw it with OpenCV's keywords, in sixteenths of pixels; returns its numbers in words."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """The result of one image, or pair of images: a detection, or why there is none."""
+
+    detection: Detection | None
+    problem: str = ""  # one sentence with what to do about it; empty with a detection
+    box: Region | None = None  # what the problem is about
 
 
 class Detector:
     """Looks for a body where the last image showed it, else everywhere.
 
-    A kind of body overrides :meth:`search`.
+    A kind of body overrides :meth:`detect_in`.
 
     Attributes
     ----------
@@ -39,20 +74,20 @@ class Detector:
         """Forget where the body was."""
         self._last: Detection | None = None
 
-    def search(
+    def detect_in(
         self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray | None, camera: Intrinsics
     ) -> Sighting:
-        """Look for the body in an image without distortion, or in a part with its intrinsics."""
+        """Detect the body in an image without distortion, or in a part with its intrinsics."""
         raise NotImplementedError
 
     def rectified(self, rgb: np.ndarray, camera: CameraModel) -> np.ndarray:
         """The whole colour image without distortion."""
         return self._rectifier_of(camera).colour(rgb, Region.whole(camera.intrinsics))
 
-    def look(
+    def detect(
         self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray | None, camera: CameraModel
     ) -> Sighting:
-        """Look for the body in a colour image, red first, and the depth aligned to it, m."""
+        """Detect the body in a colour image, red first, and the depth aligned to it, m."""
         rectifier, view = self._rectifier_of(camera), camera.intrinsics
         regions = [Region.whole(view)]
         if self._last is not None:
@@ -64,15 +99,35 @@ class Detector:
         for region in regions:
             depth = None if depth_m is None else rectifier.depth(depth_m, region)
             part_of_view = region.view(view)
-            sighting = self.search(stamp_s, rectifier.colour(rgb, region), depth, part_of_view)
+            sighting = self.detect_in(stamp_s, rectifier.colour(rgb, region), depth, part_of_view)
             body = sighting.detection
             if body is not None and region.contains(body.box(view).grown(0, view)):
                 break
-        # A refused one must not move the window: the body may still be where it was.
-        self._last = sighting.accepted
+        self._last = sighting.detection
         return sighting
 
     def _rectifier_of(self, camera: CameraModel) -> Rectifier:
         if self._rectifier is None or self._rectifier.camera != camera:
             self._rectifier = Rectifier(camera)
         return self._rectifier
+
+
+def annotate(rgb: np.ndarray, sighting: Sighting, camera: Intrinsics) -> np.ndarray:
+    """A copy of an image, without distortion, with what is seen, or why nothing is."""
+    picture = np.array(rgb)
+    scale = max(picture.shape[1] / 640.0, 0.4)
+    thick = max(1, round(1.5 * scale))
+    lines, box = textwrap.wrap(sighting.problem, 66), sighting.box
+    if sighting.detection is not None:
+        style = {"color": (60, 230, 60), "thickness": thick, "lineType": cv2.LINE_AA, "shift": 4}
+        lines = [sighting.detection.draw(picture, camera, style)]
+    elif box is not None:
+        corner_and_size = (box.u0, box.v0, box.width, box.height)
+        cv2.rectangle(picture, corner_and_size, (255, 170, 0), thick)
+    # White on a darkened band: readable before anything.
+    picture[: round((8 + 20 * len(lines)) * scale)] //= 4
+    for row, line in enumerate(lines):
+        at = (round(10 * scale), round((20 + 20 * row) * scale))
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(picture, line, at, font, 0.5 * scale, (255, 255, 255), thick, cv2.LINE_AA)
+    return picture

@@ -19,9 +19,9 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from fvs_detector_node.config import PARAMETERS, CameraTopics, DetectorConfig
+from fvs_detector_node.detector import Sighting, annotate
 from fvs_detector_node.detectors import make_detector
 from fvs_detector_node.pairing import Pair, Pairing
-from fvs_detector_node.sighting import Sighting, annotate
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
 from fvs_ros.kinds import kind_of
@@ -127,11 +127,11 @@ class DetectorNode(ros.FvsNode):
         pair = self._pairing.add(name, ros.from_stamp(message.header.stamp), picture)
         if pair is not None:
             self._pairs.arrived(self.now_s())
-            self._look(pair)
+            self._detect(pair)
 
     # --- from a pair of images to a position ---
 
-    def _look(self, pair: Pair) -> None:
+    def _detect(self, pair: Pair) -> None:
         start_s = self.steady_s()
         self._sighting = None
         camera = self._camera
@@ -139,7 +139,7 @@ class DetectorNode(ros.FvsNode):
             return
         rgb, depth_m = pair.colour.pixels, pair.depth and pair.depth.pixels
         try:
-            sighting = self._detector.look(pair.stamp_s, rgb, depth_m, camera)
+            sighting = self._detector.detect(pair.stamp_s, rgb, depth_m, camera)
             self._publish(pair, sighting)
             if self._annotated.get_subscription_count():
                 self._publish_annotated(pair, camera, sighting)
@@ -176,7 +176,7 @@ class DetectorNode(ros.FvsNode):
     # --- outputs ---
 
     def _publish(self, pair: Pair, sighting: Sighting) -> None:
-        body = sighting.accepted
+        body = sighting.detection
         if body is None:
             return
         exposed_s = pair.stamp_s - self._config.stamp_delay_s

@@ -25,8 +25,8 @@ class Acceptance:
 
     #: Least number of pixels, and of pixels with depth: fewer do not show a shape.
     pixels: int = 20
-    #: Least part of the ball that is to be seen.
-    visible_fraction: float = 0.25
+    #: Least quality, so also least part of the ball that is to be seen.
+    quality: float = 0.3
     #: Bounds of the candidate's area over the ball's, before the distance is fitted. They allow for
     #: a first guess that is 25 % off.
     least_area: float = 0.7 * 0.25

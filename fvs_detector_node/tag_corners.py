@@ -67,7 +67,7 @@ class Corners:
 
 
 class TagReader:
-    """Finds the tags of one body in grey images."""
+    """Reads the tags of one body in grey images."""
 
     def __init__(self, tag: Tag) -> None:
         count, last = len(tag.dictionary.bytesList), max(tag.faces)
@@ -80,7 +80,7 @@ class TagReader:
         self._options = cv2.aruco.DetectorParameters()
         self._detector = cv2.aruco.ArucoDetector(tag.dictionary, self._options)
 
-    def find(self, grey: np.ndarray) -> tuple[dict[int, Corners], str]:
+    def read(self, grey: np.ndarray) -> tuple[dict[int, Corners], str]:
         """The corners of the tags by their numbers; if none, why not.
 
         ``grey`` is of uint8, shape (H, W), without distortion.
@@ -100,7 +100,7 @@ class TagReader:
                     {},
                     f"{numbers.count(number)} tags have the number {number}: cover all but one",
                 )
-            corners = self._patterns[number].fitted(grey, quad.reshape(4, 2))
+            corners = self._patterns[number].fit(grey, quad.reshape(4, 2))
             if corners is None:
                 problem = "the tag's pattern is not clear: is it covered, or the light too poor?"
             elif across_px(corners.px) < FIT.cell_px * self.tag.cells:
@@ -140,7 +140,7 @@ class _Pattern:
         self._lines = np.linspace(-1.0, 1.0, tag.cells + 1)
         self._pitch = 2.0 / tag.cells
 
-    def fitted(self, grey: np.ndarray, corners_px: np.ndarray) -> Corners | None:
+    def fit(self, grey: np.ndarray, corners_px: np.ndarray) -> Corners | None:
         """Corners from those that are about right, px, (4, 2); None if the pattern is not there."""
         corners_px = corners_px.astype(np.float32)
         matrix = cv2.getPerspectiveTransform(_SQUARE[:, :2].astype(np.float32), corners_px)

@@ -6,15 +6,14 @@ import cv2
 import numpy as np
 
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detector import Detector
-from fvs_detector_node.sighting import Sighting
+from fvs_detector_node.detector import Detector, Sighting
 from fvs_detector_node.tag_corners import TagReader
 from fvs_detector_node.tag_pose import PoseFinder
 from fvs_ros.camera import Intrinsics
 
 
 class TagDetector(Detector):
-    """Looks for the tag, or the body of tags."""
+    """Detects the tag, or the body of tags."""
 
     measured = ("residual_px",)
 
@@ -27,11 +26,11 @@ class TagDetector(Detector):
         super().reset()
         self._poses.reset()
 
-    def search(
+    def detect_in(
         self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray | None, camera: Intrinsics
     ) -> Sighting:
-        """Look for the tag; ``depth_m`` does not matter."""
-        corners, problem = self._reader.find(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
+        """Detect the tag; ``depth_m`` does not matter."""
+        corners, problem = self._reader.read(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
         if not corners:
             return Sighting(None, problem)
         return Sighting(*self._poses.find(stamp_s, corners, camera))

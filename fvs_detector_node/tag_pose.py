@@ -121,7 +121,7 @@ class PoseFinder:
             for floor_px in (ACCEPT.floor_px, ACCEPT.certain_px)
         )
         fits = [
-            self._fitted(corners, scales, cautious, camera.matrix, *start)
+            self._fit(corners, scales, cautious, camera.matrix, *start)
             for start in self._starts(corners, camera.matrix)
         ]
         # In front of the camera, and with the prints to it.
@@ -167,7 +167,7 @@ class PoseFinder:
             for rotation, shift in zip(rotations, shifts, strict=True)
         ]
 
-    def _fitted(
+    def _fit(
         self,
         corners: dict[int, Corners],
         scales: np.ndarray,

@@ -312,7 +312,7 @@ class Simulation:
             # As from a camera that sends only the region around the body: drawing takes long.
             region = body.grown(body.width // 8 + 8, camera)
             view = CameraModel(region.view(self._reported_intrinsics))
-            detection = self._detector.look(self.time_s, *self._draw(region), view).accepted
+            detection = self._detector.detect(self.time_s, *self._draw(region), view).detection
             if detection is None:
                 return None, 0.0
             position_m, rotation = detection.position_m, detection.rotation

@@ -5,7 +5,7 @@ import pytest
 from cases import each
 from drawn_balls import RADIUS_M, VGA, draw, hide, red
 
-from fvs_detector_node.detection import detect_ball
+from fvs_detector_node.ball_detector import detect_ball
 
 CENTRE = np.array([0.1, -0.05, 1.0])
 
@@ -15,7 +15,7 @@ def find(spheres, spoil=None, **scene):
     rgb, depth = draw(spheres, **scene)
     if spoil is not None:
         spoil(rgb, depth)
-    return detect_ball(rgb, depth, VGA, RADIUS_M)[0]
+    return detect_ball(rgb, depth, VGA, RADIUS_M).detection
 
 
 def error_mm(detection, centre):

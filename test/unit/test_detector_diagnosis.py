@@ -8,8 +8,7 @@ from cases import each
 from drawn_balls import RADIUS_M, VGA, draw, hide, red
 
 from fvs_detector_node.ball_detector import BallDetector
-from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detection import BallColour
+from fvs_detector_node.config import BallColour, DetectorConfig
 from fvs_ros.camera import CameraModel
 
 CENTRE = np.array([0.05, 0.02, 1.2])
@@ -17,7 +16,7 @@ CENTRE = np.array([0.05, 0.02, 1.2])
 
 def look(rgb, depth, camera=VGA, **colour):
     config = DetectorConfig(ball_radius_m=RADIUS_M, colour=BallColour(**colour))
-    return BallDetector(config).look(0.0, rgb, depth, CameraModel(camera))
+    return BallDetector(config).detect(0.0, rgb, depth, CameraModel(camera))
 
 
 def the_ball():

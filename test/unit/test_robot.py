@@ -9,7 +9,8 @@ import pybullet
 import pytest
 from ur5_dh import axes_origins_ball, flange_pose
 
-from fvs_detector_node.detection import BallColour, colour_mask
+from fvs_detector_node.ball_detector import colour_mask
+from fvs_detector_node.config import BallColour
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.robot import ROBOTS, Robot, robot_description

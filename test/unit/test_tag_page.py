@@ -15,7 +15,7 @@ def test_a_page_shows_the_tag_in_true_size(tmp_path):
     assert program.main(given) == 0
     page = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     assert page.shape == pytest.approx((297.0 / 25.4 * 600, 210.0 / 25.4 * 600), abs=1.0)
-    corners, why = TagReader(Tag(family, number)).find(page)
+    corners, why = TagReader(Tag(family, number)).read(page)
     assert corners, why
     tag = corners[number].px
     sides_mm = np.linalg.norm(np.roll(tag, -1, axis=0) - tag, axis=1) * 25.4 / 600
@@ -25,7 +25,7 @@ def test_a_page_shows_the_tag_in_true_size(tmp_path):
 def test_a_page_shows_all_tags_of_a_layout_at_their_places(tmp_path):
     path, tag = tmp_path / "tags.png", Tag(tag_size_m=0.04, tag_layout="cube")
     assert program.main(["-o", str(path), "--layout", "cube", "--size-m", "0.04"]) == 0
-    corners, why = TagReader(tag).find(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    corners, why = TagReader(tag).read(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
     assert len(corners) == 5, why
     apart_mm = np.linalg.norm(corners[1].px.mean(axis=0) - corners[0].px.mean(axis=0)) * 25.4 / 600
     assert apart_mm == pytest.approx(50.0, abs=0.05)  # with the border of one cell

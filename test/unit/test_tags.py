@@ -38,7 +38,7 @@ def corners(px, noise_px=0.0, rng=None):
 
 
 def look(detector, rgb, stamp_s=0.0):
-    return detector.look(stamp_s, rgb, None, CameraModel(VGA))
+    return detector.detect(stamp_s, rgb, None, CameraModel(VGA))
 
 
 # --- corners ---
@@ -47,7 +47,7 @@ def look(detector, rgb, stamp_s=0.0):
 @pytest.mark.parametrize("name", ["4X4_50", "APRILTAG_16h5", "ARUCO_ORIGINAL"])
 def test_every_family_is_read(name):
     pose = turned(0.5), MIDDLE
-    tags, why = TagReader(Tag(tag_dictionary=name, tag_id=3)).find(grey([(3, *pose)], name=name))
+    tags, why = TagReader(Tag(tag_dictionary=name, tag_id=3)).read(grey([(3, *pose)], name=name))
     assert tags, why
     assert np.abs(tags[3].px - corners_px(*pose)).max() < 0.15
 
@@ -63,7 +63,7 @@ def test_every_family_is_read(name):
     ],
 )
 def test_what_is_wrong_with_a_view_is_said(image, words):
-    tags, why = TagReader(TAG).find(image)
+    tags, why = TagReader(TAG).read(image)
     assert not tags
     assert words in why
 
@@ -91,7 +91,7 @@ def test_disturbed_images_are_read_as_exactly_as_the_covariance_says(disturbed, 
         position_m = 0.7 * position_m
         image = disturbed(grey([(0, rotation, position_m)], noise=0.0), rng)
         image = np.rint(image + rng.normal(0.0, 1.5, image.shape)).clip(0, 255).astype(np.uint8)
-        seen, _ = TagReader(TAG).find(image)
+        seen, _ = TagReader(TAG).read(image)
         if not seen:
             continue
         off_px = seen[0].px - corners_px(rotation, position_m)
@@ -200,7 +200,7 @@ def test_a_body_of_tags_is_seen_more_exactly_and_survives_a_hidden_one(layout):
             continue  # too small, or not all in the image
         for hidden, found in off.items():
             reader, finder = TagReader(tag), PoseFinder(tag)
-            seen, _ = reader.find(drawn_body(tag, rotation, position_m, rng, hidden))
+            seen, _ = reader.read(drawn_body(tag, rotation, position_m, rng, hidden))
             pose, why = finder.find(0.0, seen, VGA) if seen else (None, "")
             if pose is None:
                 assert hidden or "two poses fit" in why
@@ -264,5 +264,5 @@ def test_a_lens_that_distorts_changes_nothing():
     rotation, position_m = turned(0.5), MIDDLE + [0.15, 0.1, 0.0]
     bent = distorted(draw([(0, rotation, position_m)], noise=0.0), camera.coefficients)
     detector = TagDetector(DetectorConfig(feature="pose", tag=TAG))
-    found = detector.look(0.0, bent, None, camera).detection
+    found = detector.detect(0.0, bent, None, camera).detection
     assert np.linalg.norm(found.position_m - position_m) < 3e-3
