@@ -16,7 +16,7 @@ class Pair(NamedTuple):
 
 
 class Pairing:
-    """Pairs two streams; the newest wins, and no colour image is paired after a later one.
+    """Pairs each colour image with the nearest depth image, and none after a later one.
 
     Stamps may repeat, arrive out of order, freeze or jump; a single wrong stamp has no effect.
     ``tolerance_s`` is the largest difference of the two stamps. If depth is not needed, a colour
@@ -36,6 +36,7 @@ class Pairing:
             name: deque(maxlen=6) for name in ("colour", "depth")
         }
         self._newest_s = dict.fromkeys(self._waiting, -math.inf)
+        self._next_depth_s = math.inf  # when the next one is due
         self._repeats = Counter[str]()
         #: Stamp of depth minus colour for the closest images in the last comparison.
         self.offset_s: float | None = None
@@ -57,11 +58,13 @@ class Pairing:
             self._restart()
         self._repeats[name] = 0
         self._newest_s[name] = stamp_s
+        if name == "depth":
+            self._next_depth_s = 2.0 * stamp_s - newest_s
         self._waiting[name].append((stamp_s, image))
         return self._pair()
 
     def _pair(self) -> Pair | None:
-        """The newest colour image that has its depth image."""
+        """The newest colour image whose nearest depth image is here."""
         colours, depths = self._waiting["colour"], self._waiting["depth"]
         for colour_s, colour in reversed(colours):
             if not self._needs_depth:
@@ -71,7 +74,8 @@ class Pairing:
                 return None
             depth_s, depth = min(depths, key=lambda image: abs(image[0] - colour_s))
             self.offset_s = depth_s - colour_s
-            if abs(self.offset_s) <= self._tolerance_s:
+            due = abs(self._next_depth_s - colour_s) < abs(self.offset_s)
+            if abs(self.offset_s) <= self._tolerance_s and not due:
                 for waiting, stamp_s in ((colours, colour_s), (depths, depth_s)):
                     while waiting and waiting[0][0] <= stamp_s:
                         waiting.popleft()
