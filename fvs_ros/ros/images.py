@@ -79,9 +79,9 @@ def from_color(message: Image | CompressedImage) -> np.ndarray:
     """Colours of an image, uint8, shape (H, W, 3), red first; they may share its memory.
 
     It has any encoding of ``sensor_msgs`` for colours, grey, Bayer patterns and YUV, of 16 bits the
-    highest 8 that are used; or is jpeg or png, of the format ``jpeg``, ``png`` or ``ENCODING; jpeg
-    compressed bgr8``. Without the last word after an encoding, red and blue were exchanged before
-    the compression.
+    highest 8; or is jpeg or png, of the format ``jpeg``, ``png`` or ``ENCODING; jpeg compressed
+    bgr8``. Without the last word after an encoding, red and blue were exchanged before the
+    compression.
     """
     if isinstance(message, CompressedImage):
         encoding, separator, rest = message.format.partition(";")
@@ -95,8 +95,12 @@ def from_color(message: Image | CompressedImage) -> np.ndarray:
     channels, conversion = _TO_RGB[encoding]
     rows = height * 3 // 2 if encoding.startswith("nv") else height
     pixels = _rows(message, "u2" if encoding.endswith("16") else "u1", channels, rows)
-    if pixels.dtype == np.uint16:  # cameras of 10 or 12 bits leave the highest ones empty
-        pixels = (pixels >> max(0, int(pixels.max()).bit_length() - 8)).astype(np.uint8)
+    if pixels.dtype == np.uint16:
+        if pixels.max() < 2**12:  # 16 grey levels would remain
+            raise MessageError(
+                f"{encoding} image leaves the highest 4 of 16 bits empty; set the camera to 8 bits"
+            )
+        pixels = (pixels >> 8).astype(np.uint8)
     pixels = pixels.reshape(rows, width, channels)
     if conversion is None:
         return pixels

@@ -110,6 +110,15 @@ def test_what_cameras_send_comes_out_red_first(encoding):
         assert np.abs(decoded.astype(int) - expected).max() <= 3
 
 
+def test_16_bits_have_one_scale_in_all_images_and_too_few_are_refused():
+    for brightest in (5000, 60000):
+        grey = np.array([[2560, brightest]], np.uint16)
+        assert from_color(image(grey.tobytes(), 2, 1, 4, "mono16"))[0, 0, 0] == 10
+    grey = np.array([[2560, 4095]], np.uint16)
+    with pytest.raises(MessageError, match="set the camera to 8 bits"):
+        from_color(image(grey.tobytes(), 2, 1, 4, "mono16"))
+
+
 PICTURE = np.full((24, 32, 3), (200, 60, 10), np.uint8)
 PICTURE[:, 16:] = (20, 60, 210)
 #: Columns that a jpeg's coarse colours do not blur.
