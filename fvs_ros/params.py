@@ -7,6 +7,7 @@ scenario files and the reference page follow from the declaration.
 
 from __future__ import annotations
 
+import contextlib
 import reprlib
 import sys
 from array import array
@@ -86,11 +87,11 @@ class Parameter:
     def check(self, value: Any) -> Any:
         """The value in the parameter's type; a ``ParameterError`` if it has none of its values.
 
-        An int is accepted for a float (``gain: 2`` in YAML).
+        For a float an int is accepted, and its text: ``1e-4`` is none in YAML 1.1.
         """
         if not self.is_list:
             return self._check_one(value, value)
-        if self.broadcast and isinstance(value, (int, float)):
+        if self.broadcast and isinstance(value, (int, float, str)):
             value = [value]
         is_list = hasattr(value, "__len__") and not isinstance(value, str)
         if not is_list or self.size not in (None, len(value)):
@@ -101,8 +102,11 @@ class Parameter:
         kind = self.kind
         if isinstance(element, np.generic):
             element = element.item()
-        if kind is float and type(element) is int and abs(element) <= _LARGEST[int]:
-            element = float(element)
+        if kind is float and (
+            isinstance(element, str) or (type(element) is int and abs(element) <= _LARGEST[int])
+        ):
+            with contextlib.suppress(ValueError):
+                element = float(element)
         fits = type(element) is kind  # true and false are no whole numbers
         if fits and kind in (int, float):
             low, high = self.minimum, self.maximum

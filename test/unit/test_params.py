@@ -11,12 +11,22 @@ BOX = Parameter("box", [0.1] * 3, "A box.", minimum=0.0, broadcast=True)
 def test_a_whole_number_is_taken_for_a_number_and_one_for_a_list_where_declared():
     assert [type(GAIN.check(one)) for one in (2, np.float64(2.0), np.int64(2))] == [float] * 3
     assert BOX.check(2) == [2.0]
+    assert [GAIN.check("5e-2"), *BOX.check("1e-4"), *BOX.check(["1e-4", 2])] == [
+        0.05,
+        1e-4,
+        1e-4,
+        2,
+    ]
 
 
 @each(
     ("one", "wrong", "words"),
     [
-        (GAIN, ("2", True, None, np.nan, np.inf, -0.1, 10.1, [1.0]), "gain must be number from 0"),
+        (
+            GAIN,
+            ("2 m", True, None, np.nan, np.inf, -0.1, 10.1, [1.0]),
+            "gain must be number from 0",
+        ),
         (BOX, ("abc", [0.1, 0.2, -0.3], [0.1, 0.2, "x"], None), "box must be a list of numbers"),
         (Parameter("plain", [0.1, 0.2], "A list.", size=2), (0.3, [0.3]), "a list of 2 numbers"),
         (Parameter("law", "ftsm", "A law.", choices=("ftsm", "mpc")), ("pid",), "one of ftsm, mpc"),
