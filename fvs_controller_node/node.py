@@ -49,8 +49,8 @@ class ControllerNode(ros.FvsNode):
 
     keeps_subscriptions = True
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__("fvs_controller_node", PARAMETERS, **options)
+    def __init__(self, namespace: str = "") -> None:
+        super().__init__("fvs_controller_node", PARAMETERS, namespace)
         v = self.values
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])

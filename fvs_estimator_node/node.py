@@ -35,8 +35,8 @@ class EstimatorNode(ros.FvsNode):
 
     keeps_subscriptions = True
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__("fvs_estimator_node", PARAMETERS, **options)
+    def __init__(self, namespace: str = "") -> None:
+        super().__init__("fvs_estimator_node", PARAMETERS, namespace)
         v = self.values
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._kind = EstimatorConfig.from_values(v).kind

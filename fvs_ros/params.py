@@ -14,11 +14,13 @@ from array import array
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from importlib import import_module
 from typing import Any, TypeVar
 
 import numpy as np
 
 from fvs_ros.arguments import did_you_mean, unknown
+from fvs_ros.topics import NODES
 
 _DECLARED = "parameter"
 _Self = TypeVar("_Self", bound="Parameters")
@@ -157,6 +159,11 @@ class ParameterSet:
     def checked(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Given values in their parameters' types; a ``ParameterError`` if one is wrong."""
         return {name: self[name].check(value) for name, value in given.items()}
+
+
+def parameters_of(node: str) -> ParameterSet:
+    """The parameters that a node of the package declares."""
+    return ParameterSet(import_module(NODES[node]).PARAMETERS)
 
 
 def parameter(

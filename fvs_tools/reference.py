@@ -21,9 +21,8 @@ from fvs_controller_node.reasons import Reason, State, Stop
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros import stop, topics
 from fvs_ros.kinds import KINDS
-from fvs_ros.params import Parameter
+from fvs_ros.params import Parameter, parameters_of
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
-from fvs_tools.scenario import NODE_TABLE
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference.md"
 COMMAND = "python -m fvs_tools.reference"
@@ -42,7 +41,7 @@ def page() -> str:
     environment.filters.update({each.__name__: each for each in functions})
     alike = _alike()
     return environment.get_template("reference.md.jinja").render(
-        NODES=topics.NODES,
+        NODES=list(topics.NODES),
         SERVICES=topics.SERVICES,
         TOPICS={"": topics.COMMON, **{name: kind.topics for name, kind in KINDS.items()}},
         SHARED=[nodes for nodes in alike if len(nodes) > 1],
@@ -73,8 +72,8 @@ def links(nodes: Iterable[str], other: str = "") -> str:
 def _alike() -> list[dict[str, Parameter]]:
     """Each parameter, by the nodes that have it alike, live or not."""
     alike: dict[str, dict[str, Parameter]] = {}
-    for node, entry in NODE_TABLE.items():
-        for parameter in entry.parameters():
+    for node in topics.NODES:
+        for parameter in parameters_of(node):
             alike.setdefault(repr(replace(parameter, live=False)), {})[node] = parameter
     return list(alike.values())
 
@@ -87,7 +86,7 @@ def _owners() -> dict[str, list[str]]:
         for parameter in kind.Gains.declared():
             if parameter.name not in common:
                 owners[parameter.name].append(law)
-    for parameter in NODE_TABLE[topics.ESTIMATOR].parameters():
+    for parameter in parameters_of(topics.ESTIMATOR):
         prefix, dot, _ = parameter.name.partition(".")
         methods = [name for name, kind in ESTIMATORS.items() if dot and kind.group == prefix]
         owners[parameter.name] += methods

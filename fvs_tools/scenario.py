@@ -2,12 +2,11 @@
 
 A scenario is a standard ROS parameter file: each top-level key is a node to start, below it
 ``ros__parameters``. A wildcard key ``/**`` holds parameters of several nodes, each of which takes
-those that it has; without that key ``ros2 run ... --params-file`` takes the file, too.
+those that it has. ``ros2 run ... --params-file`` takes the file, too.
 """
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ import yaml
 
 from fvs_ros import topics
 from fvs_ros.arguments import unknown
-from fvs_ros.params import Parameter, ParameterError, ParameterSet
+from fvs_ros.params import Parameter, ParameterError, ParameterSet, parameters_of
 from fvs_ros.paths import find_file, share_folders
 from fvs_sim_node.robot import moving_joints, robot_of
 from fvs_tools.recording import check_recording
@@ -39,38 +38,24 @@ class NodeEntry:
     """One node that a scenario may start."""
 
     module: str  # that runs it
-    declarations: str  # the module that declares its PARAMETERS
     commands_arm: bool = False  # it is stopped first, while others still listen
     task: bool = False  # its end ends the scenario, its exit code being the scenario's
     #: A passive node: it is stopped last, and its end does not end the scenario, unless it refuses
     #: its parameters.
     observer: bool = False
 
-    def parameters(self) -> ParameterSet:
-        """Declared parameters."""
-        return ParameterSet(importlib.import_module(self.declarations).PARAMETERS)
-
 
 #: By the name of node and executable.
 NODE_TABLE: dict[str, NodeEntry] = {
-    topics.SIM: NodeEntry("fvs_sim_node.node", "fvs_sim_node.config"),
-    topics.DETECTOR: NodeEntry("fvs_detector_node.node", "fvs_detector_node.config"),
-    topics.ESTIMATOR: NodeEntry("fvs_estimator_node.node", "fvs_estimator_node.registry"),
-    topics.CONTROLLER: NodeEntry(
-        "fvs_controller_node.node", "fvs_controller_node.config", commands_arm=True
-    ),
-    topics.COLLECTOR: NodeEntry(
-        "fvs_estimator_node.collector_node",
-        "fvs_estimator_node.collecting",
-        commands_arm=True,
-        task=True,
-    ),
-    topics.CALIBRATE: NodeEntry("fvs_tools.calibrate_node", "fvs_tools.calibrating", task=True),
-    topics.DEMO: NodeEntry("fvs_tools.demo_node", "fvs_tools.demo", task=True),
-    topics.DASHBOARD: NodeEntry(
-        "fvs_dashboard.dashboard_node", "fvs_dashboard.config", observer=True
-    ),
-    RECORDER: NodeEntry("fvs_tools.recorder_node", "fvs_tools.recording", observer=True),
+    topics.SIM: NodeEntry("fvs_sim_node.node"),
+    topics.DETECTOR: NodeEntry("fvs_detector_node.node"),
+    topics.ESTIMATOR: NodeEntry("fvs_estimator_node.node"),
+    topics.CONTROLLER: NodeEntry("fvs_controller_node.node", commands_arm=True),
+    topics.COLLECTOR: NodeEntry("fvs_estimator_node.collector_node", commands_arm=True, task=True),
+    topics.CALIBRATE: NodeEntry("fvs_tools.calibrate_node", task=True),
+    topics.DEMO: NodeEntry("fvs_tools.demo_node", task=True),
+    topics.DASHBOARD: NodeEntry("fvs_dashboard.dashboard_node", observer=True),
+    RECORDER: NodeEntry("fvs_tools.recorder_node", observer=True),
 }
 
 
@@ -192,7 +177,7 @@ def _override(path: Path, sections: Scenario, override: str) -> None:
 
 
 def _declared(node: str) -> ParameterSet:
-    return ParameterSet([*NODE_TABLE[node].parameters(), _EVERYWHERE])
+    return ParameterSet([*parameters_of(node), _EVERYWHERE])
 
 
 def params_yaml(parameters: Scenario) -> str:

@@ -28,11 +28,7 @@ def make_nodes(namespaces: Sequence[str]) -> list[ros.FvsNode]:
     nodes: list[ros.FvsNode] = []
     for namespace in namespaces or [""]:
         # The controller first: its command does not wait for the estimator.
-        controller = ControllerNode(namespace=namespace, others=ESTIMATOR)
-        estimator = EstimatorNode(namespace=namespace, others=CONTROLLER)
-        _check_owners(controller, estimator)
-        _check_owners(estimator, controller)
-        nodes += [controller, estimator]
+        nodes += [ControllerNode(namespace), EstimatorNode(namespace)]
     names = Counter(node.get_fully_qualified_name() for node in nodes)
     twice = ", ".join(name for name, count in names.items() if count > 1)
     if twice:
@@ -41,16 +37,6 @@ def make_nodes(namespaces: Sequence[str]) -> list[ros.FvsNode]:
             "__ns nor __node may be remapped"
         )
     return nodes
-
-
-def _check_owners(node: ros.FvsNode, other: ros.FvsNode) -> None:
-    """Refuse a parameter that was given to a node by name, and is one of the other's."""
-    for name, value in node.not_own.items():
-        if other.values[name] != value:
-            raise ValueError(
-                f"{node.get_fully_qualified_name()} has no parameter {name}: "
-                f"{other.get_fully_qualified_name()} has"
-            )
 
 
 def main() -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -27,7 +28,7 @@ from rclpy.subscription import Subscription
 
 from fvs_ros import topics
 from fvs_ros.clock import LoopClock
-from fvs_ros.params import Parameter, ParameterError, ParameterSet
+from fvs_ros.params import Parameter, ParameterError, ParameterSet, parameters_of
 from fvs_ros.ros.inputs import IMAGES, MOST_ITEMS, ArrivalMonitor, check_request, unpacked
 from fvs_ros.ros.messages import OK, WARN, MessageError, message_class, plain, to_stamp, to_status
 from fvs_ros.ros.qos import PROFILES, QOS_LATCHED
@@ -38,7 +39,7 @@ STATUS_PERIOD_S = 0.1
 _DIAGNOSTICS_PERIOD_S = 1.0
 #: What comes again and again is logged once in this time, or it would fill the log, s.
 REPEAT_S = 5.0
-_BUILT_IN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+BUILT_IN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 def _descriptor(one: Parameter) -> ParameterDescriptor:
@@ -60,12 +61,20 @@ def _descriptor(one: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
+def _is_declared(name: str) -> bool:
+    """Whether any node of the package has a parameter."""
+    for node in topics.NODES:
+        with contextlib.suppress(ImportError):  # of an extra that is not installed
+            if name in parameters_of(node):
+                return True
+    return False
+
+
 class FvsNode(Node):
     """A node with declared parameters, watched inputs and diagnostics.
 
-    A parameter given at start that is unknown or has a wrong value is a ``ParameterError``;
-    ``others`` are those of the nodes that share the process, and its arguments: what is given of
-    them stands in ``not_own``.
+    A parameter given at start that no node has, or with a wrong value, is a ``ParameterError``. One
+    of other nodes is left to them: a file may serve all.
     """
 
     #: Set to end the process with this exit code.
@@ -76,13 +85,7 @@ class FvsNode(Node):
     #: (ros2/rclpy#1644) and does not support callback groups.
     keeps_subscriptions = False
 
-    def __init__(
-        self,
-        name: str,
-        parameters: Iterable[Parameter],
-        namespace: str = "",
-        others: Iterable[Parameter] = (),
-    ) -> None:
+    def __init__(self, name: str, parameters: Iterable[Parameter], namespace: str = "") -> None:
         super().__init__(
             name,
             namespace=namespace,
@@ -90,7 +93,7 @@ class FvsNode(Node):
         )
         self._declared_name = name  # also where the user gives it another one
         self.parameter_set = ParameterSet(parameters)
-        self.values = self._declare(others)
+        self.values = self._declare()
         self.add_on_set_parameters_callback(self._on_set)
         simulated = self.get_parameter("use_sim_time").value
         #: Ages on it never jump; stamps (``get_clock``) serve pairing and latency only.
@@ -103,17 +106,17 @@ class FvsNode(Node):
         self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
         self._health: tuple[bytes, str] = (OK, "starting")
 
-    def _declare(self, others: Iterable[Parameter]) -> dict[str, Any]:
+    def _declare(self) -> dict[str, Any]:
         overrides = {
             name: self.get_parameter(name).value
             for name in self.get_parameters_by_prefix("")
-            if not name.startswith(_BUILT_IN_PARAMETERS)
+            if not name.startswith(BUILT_IN_PARAMETERS)
         }
         own = self.parameter_set
-        known = ParameterSet({parameter.name: parameter for parameter in (*others, *own)}.values())
-        checked = known.checked(overrides)
-        values = own.values({n: v for n, v in checked.items() if n in own})
-        self.not_own = {n: v for n, v in checked.items() if n not in own}
+        others = [name for name in overrides if name not in own and _is_declared(name)]
+        values = own.values({n: v for n, v in overrides.items() if n not in others})
+        if others:
+            self.tell(OK, f"parameters of other nodes are left to them: {', '.join(others)}")
         for name in overrides:
             self.undeclare_parameter(name)
         for parameter in self.parameter_set:
@@ -139,7 +142,7 @@ class FvsNode(Node):
             return SetParametersResult(successful=False, reason=str(error))
 
     def _settable(self, requested: rclpy.Parameter) -> rclpy.Parameter:
-        if requested.name.startswith(_BUILT_IN_PARAMETERS):
+        if requested.name.startswith(BUILT_IN_PARAMETERS):
             return requested
         declared = self.parameter_set[requested.name]
         if not declared.live:

@@ -1,5 +1,7 @@
 """The detector finds the ball in anybody's images, and says so when it cannot."""
 
+import json
+
 import cv2
 import drawn_tags
 import numpy as np
@@ -159,8 +161,22 @@ def test_another_cameras_names_compressed_and_lossy_images_and_late_stamps(ros_t
     assert min(ahead_s, camera.period_s - ahead_s) < 1e-5
 
 
+def start_with_file(ros_test, **parameters):
+    """A detector with a file of all nodes' parameters."""
+    file = ros_test.folder / "all.yaml"
+    file.write_text(f"/**: {{ros__parameters: {json.dumps(parameters)}}}\n")
+    return ros_test.start(NODE, "--ros-args", "--params-file", str(file))
+
+
+def test_a_file_of_all_nodes_may_hold_what_any_node_has_and_nothing_else(ros_test):
+    detector = start_with_file(ros_test, tf_prfix="left_")
+    assert ros_test.wait(detector) == 2
+    assert "unknown parameter 'tf_prfix'" in ros_test.output(detector)
+
+
 def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
-    detector = ros_test.start_node(NODE, feature="pose", tag_id=7, tag_size_m=0.06)
+    own = {"feature": "pose", "tag_id": 7, "tag_size_m": 0.06}
+    detector = start_with_file(ros_test, tf_prefix="left_", **own)
     watched, tag_m = Watched(ros_test), np.array([0.02, 0.01, 0.4])
     poses = ros_test.collect(PoseStamped, Pose.topics.tool.name)
     rotation = cv2.Rodrigues(np.array([0.5, 0.0, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
@@ -181,3 +197,4 @@ def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
     assert not watched.balls
     assert ros_test.stop(detector) == 0
     assert "Traceback" not in ros_test.output(detector)
+    assert "other nodes are left to them: tf_prefix" in ros_test.output(detector)

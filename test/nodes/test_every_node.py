@@ -24,6 +24,7 @@ from std_msgs.msg import Float64MultiArray
 
 from fvs_ros import ros, topics
 from fvs_ros.kinds import KINDS
+from fvs_ros.params import parameters_of
 from fvs_ros.topics import NODES, SERVICES
 from fvs_tools.scenario import NODE_TABLE
 
@@ -75,7 +76,7 @@ class LoneNode:
 
     def __init__(self, harness, name, namespace, given):
         self.harness, self.name, self.where = harness, name, f"/{namespace}"
-        parameters = NODE_TABLE[name].parameters()
+        parameters = parameters_of(name)
         given = {**ALONE.get(name, {}), **given}
         self.declared, self.values = {p.name: p for p in parameters}, parameters.values(given)
         self.arguments = ros_arguments({"__ns": self.where}, **given)
@@ -132,11 +133,11 @@ class LoneNode:
         ).result
 
 
-@pytest.fixture(params=NODES)
+@pytest.fixture(params=list(NODES))
 def nodes(ros_test, request):
     """A node with its defaults, and with its other topics, in one process."""
     name = request.param
-    others = {key: value for key, value in OTHERS.items() if key in NODE_TABLE[name].parameters()}
+    others = {key: value for key, value in OTHERS.items() if key in parameters_of(name)}
     own = [LoneNode(ros_test, name, "lone", {})]
     if others:
         own.append(LoneNode(ros_test, name, "other", others))

@@ -157,7 +157,7 @@ REFUSED = [
     (MODULE, ["servo", "-r", "a"], "cannot start: "),
     (SERVO, ["left", "right", "right"], "/right/fvs_controller_node, /right/fvs_est"),
     (SERVO, ["a", "b", "--ros-args", "-r", "__ns:=/lab"], "neither __ns nor __node may be"),
-    (SERVO, ["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "has no parameter method"),
+    (SERVO, ["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "unknown parameter 'method'"),
     (SERVO, ["--ros-args", "-p", "methot:=poe"], "did you mean method"),
     ("fvs_sim_node.node", {"gui": True}, "gui needs a display"),
     ("fvs_sim_node.node", {"urdf_path": "/nowhere.urdf"}, "/nowhere.urdf"),

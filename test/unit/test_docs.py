@@ -7,7 +7,8 @@ from pathlib import Path
 from cases import each
 
 from fvs_controller_node.reasons import Reason
-from fvs_tools.scenario import NODE_TABLE
+from fvs_ros.params import parameters_of
+from fvs_ros.topics import NODES
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -62,7 +63,7 @@ def test_named_files_exist(path):
 
 @each_page
 def test_parameters_that_commands_set_exist(path):
-    known = {one.name for entry in NODE_TABLE.values() for one in entry.parameters()}
+    known = {one.name for node in NODES for one in parameters_of(node)}
     for name in re.findall(r"-p (?:\w+:)?([\w.]+):=", page(path)):
         assert name in {*known, "name"}, name
 

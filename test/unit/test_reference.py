@@ -1,7 +1,8 @@
 """What is generated from the declarations is up to date; parameters have SI units."""
 
+from fvs_ros.params import parameters_of
+from fvs_ros.topics import NODES
 from fvs_tools import reference
-from fvs_tools.scenario import NODE_TABLE
 
 
 def test_the_committed_page_is_what_would_be_written_now():
@@ -11,8 +12,8 @@ def test_the_committed_page_is_what_would_be_written_now():
 
 
 def test_parameters_have_si_units_and_no_negative_time_rate_or_size():
-    for node, entry in NODE_TABLE.items():
-        for parameter in entry.parameters():
+    for node in NODES:
+        for parameter in parameters_of(node):
             where, name = f"{node}: {parameter.name}", parameter.name
             assert not name.endswith(("_ms", "_mm", "_cm", "_us", "_ns")), where
             if name.endswith(("_s", "_hz", "radius_m", "error_m", "_rad_s2")):
