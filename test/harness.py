@@ -101,19 +101,11 @@ def children(pid: int) -> list[int]:
 class Harness:
     """A ROS context of its own, and the node processes of one test.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the processes' output goes.
-    simulated_time : bool
-        Whether the test's own node follows ``/clock``.
-    beside : Harness or None
-        Whose processes this one talks to as well; they outlive it.
+    Processes write into files of ``folder``. Those of the harness ``beside`` are talked to as well,
+    and outlive this one.
     """
 
-    def __init__(
-        self, folder: Path, simulated_time: bool = False, beside: Harness | None = None
-    ) -> None:
+    def __init__(self, folder: Path, beside: Harness | None = None) -> None:
         self.folder = folder
         self.domain, self._lock = (beside.domain, None) if beside else _take_domain()
         self.context = rclpy.Context()
@@ -125,7 +117,6 @@ class Harness:
         self.node = rclpy.create_node(
             "test_node",
             context=self.context,
-            parameter_overrides=[Parameter("use_sim_time", value=simulated_time)],
             start_parameter_services=False,  # each would be looked at in every spin
         )
         self.executor = SingleThreadedExecutor(context=self.context)
@@ -351,8 +342,8 @@ class PlayedRobot:
 
     def _send(self, topic: str, message: Any) -> None:
         if topic not in self.silent:
-            for each in self.spoil.get(topic, lambda m: [m])(message):
-                self._publishers[topic].publish(each)
+            for sent in self.spoil.get(topic, lambda m: [m])(message):
+                self._publishers[topic].publish(sent)
 
     def _on_command(self, message: Float64MultiArray, info: Mapping[str, int]) -> None:
         self.commands.append((info["source_timestamp"] * 1e-9, message))

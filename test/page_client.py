@@ -78,11 +78,7 @@ class PageClient:
         for uuid, element in list(self.elements.items()):
             if element.get("label") == label:
                 return uuid
-        raise KeyError(f"no {label} on the page; there are {self.labels()}")
-
-    def labels(self) -> list[str]:
-        """All labels."""
-        return [each["label"] for each in list(self.elements.values()) if each.get("label")]
+        raise KeyError(f"no {label} on the page")
 
     def value(self, label: str) -> Any:
         """The value of the element with a label."""
@@ -104,18 +100,14 @@ class PageClient:
         self.elements[uuid]["value"] = value
         self._send(type="GuiUpdateMessage", uuid=uuid, updates={"value": value})
 
-    def drag_target(
-        self,
-        *positions: tuple[float, float, float],
-        turn: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0),
-    ) -> None:
-        """Drag the target through positions in the camera's frame, m, and let it go, turned."""
+    def drag_target(self, *positions: tuple[float, float, float]) -> None:
+        """Drag the target through positions in the camera's frame, m, and let it go."""
         self._send(type="TransformControlsDragStartMessage", name=_TARGET_NODE, owner="")
         for position in positions:
             self._send(
                 type="TransformControlsUpdateMessage",
                 name=_TARGET_NODE,
-                wxyz=turn,
+                wxyz=(1.0, 0.0, 0.0, 0.0),
                 position=position,
                 owner="",
             )

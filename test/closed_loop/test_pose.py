@@ -52,16 +52,3 @@ def test_a_camera_that_is_turned_and_moved_costs_little_time():
     target = loop.simulation.true_chain(loop.kind).position(GOAL_RAD)
     late = run(loop, target, 2.0)[1] > 0.005
     assert loop.period_s * np.flatnonzero(late)[-1] < 1.3 * undisturbed_s + 0.05
-
-
-def test_a_moving_target_is_followed():
-    loop, _ = loop_and_target("best")
-    chain, errors_m = loop.simulation.true_chain(loop.kind), []
-    for tick in range(500):
-        along = 0.5 - 0.5 * np.cos(0.5 * tick * loop.period_s)
-        target = chain.position(START_RAD + along * (GOAL_RAD - START_RAD))
-        if tick % 4 == 0:
-            loop.set_target(target)
-        loop.tick()
-        errors_m.append(np.linalg.norm(loop.kind.minus(loop.true_feature, target)))
-    assert max(errors_m[125:]) < 5e-3

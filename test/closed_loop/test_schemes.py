@@ -76,7 +76,7 @@ def test_a_joint_brakes_before_its_end_behind_a_drive_that_lags():
 
 def run_stamped_late(name, late_s):
     """A loop by images whose stamps are late, its errors, m, and its last command."""
-    simulation = simulation_of(dataclasses.replace(EXACT, latency_s=0.1))
+    simulation = Simulation(dataclasses.replace(EXACT, latency_s=0.1).sim_config())
     target_m = feature_at(simulation, HOME_RAD - 0.15)
     advance = simulation.advance
 
@@ -85,12 +85,9 @@ def run_stamped_late(name, late_s):
         late = [dataclasses.replace(o, stamp_s=o.stamp_s + late_s) for o in out.observations]
         return dataclasses.replace(out, observations=late)
 
-    simulation.advance = stamped_late  # there is one simulation for all
-    try:
-        loop = loop_from(name, HOME_RAD + 0.15, simulation)
-        commands, errors_m = run(loop, target_m, 3.0)
-    finally:
-        del simulation.advance
+    simulation.advance = stamped_late
+    loop = loop_from(name, HOME_RAD + 0.15, simulation)
+    commands, errors_m = run(loop, target_m, 3.0)
     return loop, errors_m, commands[-1]
 
 
@@ -138,12 +135,12 @@ def test_a_target_that_goes_round_and_round_is_followed_near_the_posture_of_the_
     loop = loop_from("extended", HOME_RAD)
     simulation = loop.simulation
     began_s, start_m = simulation.time_s, simulation.true_pose().position_m
-    away_rad, told_s = 0.0, 0.0
+    away_rad, next_s = 0.0, 0.0
     while (now_s := simulation.time_s - began_s) < 12.0:
-        if now_s >= told_s:
+        if now_s >= next_s:
             angle = speed_m_s / radius_m * now_s
             loop.set_target(start_m + radius_m * np.array([np.cos(angle) - 1, 0.0, np.sin(angle)]))
-            told_s += 1.0 / 30.0
+            next_s += 1.0 / 30.0
         assert loop.tick().state is State.SERVOING
         away_rad = max(away_rad, np.abs(simulation.joints_rad - HOME_RAD).max())
     # The first round takes 0.32. Without the way back: 0.6 there, and ever more.

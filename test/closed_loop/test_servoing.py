@@ -80,13 +80,13 @@ def follow(name, speed_m_s, noise_m, feed_forward):
     """Rms distance from a target on a circle, m, and of the command's step, rad/s, after 1.5 s."""
     rng, radius_m = np.random.default_rng(7), 0.08
     loop = loop_from(name, HOME_RAD, target_feed_forward=feed_forward)
-    start_m, commands, errors_m, told_s = loop.ball_m, [], [], 0.0
+    start_m, commands, errors_m, next_s = loop.ball_m, [], [], 0.0
     for tick in range(round(3.0 / loop.period_s)):
         angle = speed_m_s / radius_m * tick * loop.period_s
         true_m = start_m + radius_m * np.array([np.cos(angle) - 1.0, np.sin(angle), 0.0])
-        if tick * loop.period_s >= told_s:
+        if tick * loop.period_s >= next_s:
             loop.set_target(true_m + noise_m * rng.normal(size=3))
-            told_s += 1.0 / 30.0
+            next_s += 1.0 / 30.0
         command = loop.tick()
         assert command.state is State.SERVOING
         commands.append(command.velocity_rad_s)
@@ -98,14 +98,14 @@ def follow(name, speed_m_s, noise_m, feed_forward):
 
 @each("name", ["proposed", "best"])
 @each(
-    ("speed_m_s", "noise_m", "share", "step_share", "most_m"),
+    ("speed_m_s", "noise_m", "ratio", "step_ratio", "most_m"),
     [(0.1, 0.0, 0.34, 2.0, 0.002), (0.0, 3e-3, 1.2, 1.2, 0.0023)],
 )
 def test_feed_forward_follows_a_moving_target_and_leaves_the_noise_of_a_still_one(
-    name, speed_m_s, noise_m, share, step_share, most_m
+    name, speed_m_s, noise_m, ratio, step_ratio, most_m
 ):
-    (off_m, step), (alone_m, alone_step) = (
+    (rms_m, step), (rms_without_m, step_without) = (
         follow(name, speed_m_s, noise_m, on) for on in (True, False)
     )
-    assert off_m < min(most_m, share * alone_m)
-    assert step < step_share * alone_step
+    assert rms_m < min(most_m, ratio * rms_without_m)
+    assert step < step_ratio * step_without

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, Vector3Stamped
 from harness import PlayedRobot, Statuses
 from sensor_msgs.msg import JointState
@@ -70,7 +69,6 @@ def test_it_learns_from_motion_unless_frozen_and_a_reset_forgets(ros_test):
     robot = PlayedRobot(ros_test)
     robot.silent.add(topics.JACOBIAN.name)
     estimator = Watched(ros_test, **{"rbf.n1": 3.0})
-    arrays = ros_test.collect(DiagnosticArray, topics.DIAGNOSTICS.name)
     estimator.wait_for("LEARNING")
     home = robot.joints.copy()
 
@@ -116,11 +114,6 @@ def test_it_learns_from_motion_unless_frozen_and_a_reset_forgets(ros_test):
     estimator.wait_for("FAULT", "base_link")
     robot.spoil.clear()
     estimator.wait_for("LEARNING")
-    values = ros.from_status(arrays[-1].status[0])
-    assert arrays[-1].status[0].name == f"/{NAME}"
-    assert float(values["joint_states rate_hz"]) > 30.0
-    assert float(values["ball_position age_s"]) < 0.2
-    assert "joint_states jitter_ms" in values
     robot.silent.add(Ball.topics.tool.name)
     estimator.wait(lambda: "waiting for ball_position" in estimator.text())
     assert all(np.all(np.isfinite(m.data)) for m in estimator.jacobians)
