@@ -1,6 +1,7 @@
 """What every test needs before anything of ROS is imported."""
 
 import atexit
+import contextlib
 import importlib.util
 import os
 import shutil
@@ -51,34 +52,29 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ.setdefault("PYTEST_TIMEOUT", f"{180 * slowness:.0f}")
 
 
+def _harness(folder, **options):
+    from harness import Harness  # brings rclpy, which unit tests do without
+
+    with contextlib.closing(Harness(folder, **options)) as harness:
+        yield harness
+
+
 @pytest.fixture
 def ros_test(tmp_path):
     """A ROS context of its own and the node processes of one test."""
-    from harness import Harness  # brings rclpy, which unit tests do without
-
-    harness = Harness(tmp_path)
-    yield harness
-    harness.close()
+    yield from _harness(tmp_path)
 
 
 @pytest.fixture(scope="module")
 def ros_module(tmp_path_factory):
     """Node processes that the tests of a module share, until one of them fails."""
-    from harness import Harness
-
-    harness = Harness(tmp_path_factory.mktemp("shared"))
-    yield harness
-    harness.close()
+    yield from _harness(tmp_path_factory.mktemp("shared"))
 
 
 @pytest.fixture
 def ros_beside(ros_module, tmp_path):
     """A ROS context of its own beside the shared processes."""
-    from harness import Harness
-
-    harness = Harness(tmp_path, beside=ros_module)
-    yield harness
-    harness.close()
+    yield from _harness(tmp_path, beside=ros_module)
 
 
 def pytest_runtest_makereport(item, call):

@@ -61,34 +61,34 @@ def test_every_row_of_the_safety_table_is_promised():
 # ---- scripts that once broke a promise --------------------------------------------------------
 
 
+#: The ball is silent, and the arm on its ramp to rest.
+ON_ITS_RAMP = [do("work"), do("silence", [BALL], ticks=32)]
+
+
 @each(
-    "trouble",
+    ("script", "reason"),
     [
-        do("robot", running=False),
-        do("robot", percent=0.0),
-        do("odd_joints", odd={0: np.nan}),
-        do("odd_ball", {1: np.inf}),
+        ([*ON_ITS_RAMP, do("robot", running=False)], "PROGRAM_STOPPED"),
+        ([*ON_ITS_RAMP, do("robot", percent=0.0)], "SPEED_SCALING_ZERO"),
+        ([*ON_ITS_RAMP, do("odd_joints", odd={0: np.nan})], "BAD_INPUT"),
+        ([*ON_ITS_RAMP, do("odd_ball", {1: np.inf})], "BAD_INPUT"),
+        (
+            [
+                *(do("work"), do("odd_ball", {0: np.nan}), do("other_commander", (0.1,), ticks=1)),
+                *(do("show", 1.0, 4, 0.3), do("wait", 20)),
+            ],
+            "BAD_INPUT",
+        ),
+        (
+            [do("work"), do("other_commander", (0.5,), ticks=1), do("robot", percent=-1.0)],
+            "SPEED_SCALING_ZERO",
+        ),
     ],
 )
-def test_a_pause_or_a_bad_message_stops_at_once_an_arm_that_is_coming_to_rest(trouble):
-    machine = bench_mutants.play([do("work"), do("silence", [BALL], ticks=32)], end=False)
-    assert machine.world.last.any()
-    assert machine.world.reasons["STALE"]
-    trouble(machine)
-    machine.wait(3)
-
-
-def test_another_node_that_commands_ends_a_session_that_a_bad_message_holds():
-    other = do("other_commander", (0.1,), ticks=1)
-    script = [do("work"), do("odd_ball", {0: np.nan}), other, do("show", 1.0, 4, 0.3)]
-    world = bench_mutants.play([*script, do("wait", 20)]).world
-    assert world.reasons["BAD_INPUT"]
+def test_what_stops_at_once_does_also_in_another_trouble(script, reason):
+    world = bench_mutants.play([*script, do("wait", 5)]).world
+    assert world.reasons[reason]
     assert not world.last.any()
-
-
-def test_a_pause_during_a_conflict_stops_at_once():
-    script = [do("work"), do("other_commander", (0.5,), ticks=1), do("robot", percent=-1.0)]
-    assert bench_mutants.play([*script, do("wait", 5)]).world.reasons["SPEED_SCALING_ZERO"]
 
 
 def test_a_limit_that_is_lowered_in_motion_is_reached_by_braking_with_all_it_has():

@@ -48,15 +48,6 @@ OTHERS = {
 }
 #: What rclpy gives every node.
 BUILT_IN = {"use_sim_time", "start_type_description_service"}
-BUILT_IN_SERVICES = {
-    "describe_parameters",
-    "get_parameter_types",
-    "get_parameters",
-    "list_parameters",
-    "set_parameters",
-    "set_parameters_atomically",
-    "get_type_description",
-}
 #: Topics that a node has for some time only, with ``tf2_msgs``, or with one alone of OTHERS.
 AT_TIMES = {
     topics.COLOR_IMAGE,
@@ -99,8 +90,10 @@ class LoneNode:
         }
 
     def serves(self):
+        """Name and type of each of its services that not every node has."""
         services = self.harness.node.get_service_names_and_types_by_node(self.name, self.where)
-        return {(name, kind) for name, kinds in services for kind in kinds}
+        every = ("rcl_interfaces/", "type_description_interfaces/")
+        return {(name, kind) for name, (kind,) in services if not kind.startswith(every)}
 
     def _call(self, kind, name, **request):
         return self.harness.call(kind, self.resolve(f"~/{name}"), kind.Request(**request))
@@ -197,18 +190,13 @@ def assert_has_the_declared_topics(nodes, publishing):
 
 
 def assert_serves_exactly_the_declared(node):
-    standard = {node.resolve(f"~/{name}") for name in BUILT_IN_SERVICES}
     expected = {
         (node.resolve(name), kind)
         for name, (kind, _) in SERVICES.items()
         if name.startswith(f"{node.name}/")
     }
-
-    def own():
-        return {service for service in node.serves() if service[0] not in standard}
-
-    node.harness.spin_until(lambda: expected <= own(), what="the declared services")
-    assert own() == expected
+    node.harness.spin_until(lambda: expected <= node.serves(), what="the declared services")
+    assert node.serves() == expected
 
 
 # ---- parameters -------------------------------------------------------------------------------
