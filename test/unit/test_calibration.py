@@ -37,16 +37,16 @@ def collected(
     """Motion at 30 Hz, seen by a camera; joints in the URDF's order."""
     rng = np.random.default_rng(3)
     time_s = 0.5 + np.arange(0.0, seconds, 1.0 / 30.0)
-    asked = MotionConfig(duration_s=3600.0, joint_range_rad=wide, max_joint_velocity_rad_s=0.65)
-    motion = RandomMotion(np.array(HOME_JOINTS_RAD), asked, rng)
+    config = MotionConfig(duration_s=3600.0, joint_range_rad=wide, max_joint_velocity_rad_s=0.65)
+    motion = RandomMotion(np.array(HOME_JOINTS_RAD), config, rng)
     joints, reported = (
-        np.array([motion.path(one)[0] for one in time_s - late_s]) for late_s in (delay_s, 0.0)
+        np.array([motion.path(t)[0] for t in time_s - late_s]) for late_s in (delay_s, 0.0)
     )
-    chain = ARM.reversed() if on_arm else ARM
-    place_m, turn = TAG
-    pose = Pose(0.3)
-    tip = chain.tip_rotation, chain.tip_m
-    at_zero = pose.of_body(tip[0] @ place_m + tip[1], tip[0] @ turn)
+    chain, pose = ARM.reversed() if on_arm else ARM, Pose(0.3)
+    tag_m, tag_rotation = TAG
+    at_zero = pose.of_body(
+        chain.tip_rotation @ tag_m + chain.tip_m, chain.tip_rotation @ tag_rotation
+    )
     order = slice(None, None, -1) if on_arm else slice(None)
     seen = chain.chain(at_zero).moved(CAMERA.rotation.T, -CAMERA.rotation.T @ CAMERA.position_m)
     feature_m = seen.position(joints[:, order])
@@ -119,8 +119,8 @@ def tags(data, k1):
         factor = 1.0 + k1 * np.sum(tangent**2, axis=1, keepdims=True)
         image = 600.0 * factor * tangent + rng.normal(0.0, 0.1, (4, 2))
         about = cv2.Rodrigues(pose.rotation(z))[0], z[:3].reshape(3, 1).copy()
-        turn, place = cv2.solvePnPRefineLM(corners, image, camera, None, *about)
-        seen.append(pose.of_body(place.ravel(), cv2.Rodrigues(turn)[0]))
+        rotation, position = cv2.solvePnPRefineLM(corners, image, camera, None, *about)
+        seen.append(pose.of_body(position.ravel(), cv2.Rodrigues(rotation)[0]))
     return replace(data, z=np.array(seen))
 
 
@@ -256,7 +256,7 @@ def test_the_arm_is_drawn_where_the_image_shows_it():
     photo = Photograph.of(np.zeros((480, 640, 3), np.uint8), CameraModel(camera), data.stamps_s[at])
     drawn = draw(estimate, photo).axes[0].lines[-1].get_xydata()
     joints = np.array(
-        [np.interp(photo.stamp_s - delay_s, data.stamps_s, one) for one in data.joints_rad.T]
+        [np.interp(photo.stamp_s - delay_s, data.stamps_s, path) for path in data.joints_rad.T]
     )
     axes, tip_m = ARM.tip_at(joints)
     points_m = np.vstack([ARM.at(joints)[0], tip_m, tip_m + TAG[0] @ axes])
@@ -295,7 +295,7 @@ def test_names_of_frames_do_no_harm(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("options", "words"),
     [
         (["--tip", "nowhere"], "has the link 'nowhere'"),
         (["--urdf", "/nowhere.urdf"], "/nowhere.urdf"),
@@ -303,30 +303,27 @@ def test_names_of_frames_do_no_harm(tmp_path):
         (["-o", "/tmp/camera.png"], "the picture is written beside it"),
     ],
 )
-def test_bad_arguments_are_refused(tmp_path, capsys, given, words):
+def test_bad_arguments_are_refused(tmp_path, capsys, options, words):
     data = tmp_path / "data.npz"
     save_data_set(data, collected(seconds=10.0))
-    arguments = [str(data), "--urdf", str(URDF), "-o", str(tmp_path / "camera.yaml"), *given]
+    arguments = [str(data), "--urdf", str(URDF), "-o", str(tmp_path / "camera.yaml"), *options]
     assert program.main(arguments) == 2
     assert words in capsys.readouterr().err
     assert not (tmp_path / "camera.yaml").exists()
 
 
 def test_what_the_robot_says_of_its_tool_is_no_tag():
-    text = URDF.read_text("utf-8").replace(
-        "</robot>",
+    on_a_table = (
         '<joint name="stands" type="fixed"><parent link="world"/><child link="base_link"/>'
-        '<origin xyz="0.5 0 0.8"/></joint></robot>',
+        '<origin xyz="0.5 0 0.8"/></joint></robot>'
     )
-    arm, data, pose = kinematics(read_joints(text)), collected(seconds=20.0), Pose(0.3)
-    turns, places_m = arm.tip_at(data.joints_rad)
-    base_m = np.array([0.5, 0.0, 0.8])
-    half = np.diag([-1.0, -1.0, 1.0])  # as a UR's "base" to its "base_link"
-    told = [
-        pose.of_body(half @ (place_m - base_m), half @ turn.T)
-        for place_m, turn in zip(places_m, turns, strict=True)
-    ]
-    data = replace(data, z=np.array(told), feature="pose", feature_frame="base")
+    arm = kinematics(read_joints(URDF.read_text("utf-8").replace("</robot>", on_a_table)))
+    data, pose, half_turn = collected(seconds=20.0), Pose(0.3), np.diag([-1.0, -1.0, 1.0])
+    tips = (  # in a UR's "base"
+        pose.of_body(half_turn @ (tip_m - [0.5, 0.0, 0.8]), half_turn @ axes.T)
+        for axes, tip_m in zip(*arm.tip_at(data.joints_rad), strict=True)
+    )
+    data = replace(data, z=np.array([*tips]), feature="pose", feature_frame="base")
     word, reason = verdict_of(calibrate(data, arm))
     assert word == "unusable"
     assert "base is where the arm's base is" in reason

@@ -7,6 +7,7 @@ import pytest
 from cases import each
 
 from fvs_estimator_node.collecting import GIVE_UP_S, CollectionRun, CollectorConfig, State
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.joints import UR_POSITION_LIMITS_RAD
 from fvs_ros.limits import with_urdf_limits
 from fvs_ros.urdf import read_joints
@@ -284,3 +285,38 @@ def test_a_jerk_limit_holds_in_motion_and_while_it_stops_and_zeros_are_reached()
         joints = joints + DT_S * commands[-1]
     assert np.abs(np.diff(commands, 2, axis=0)).max() <= 30.0 * DT_S**2 + 1e-12
     assert run.ended
+
+
+# ---- the motion ---------------------------------------------------------------------------
+
+
+def motion(**changes):
+    values = {"duration_s": 120.0, "joint_range_rad": (0.6, *(0.5,) * 5), **changes}
+    return RandomMotion(HOME, MotionConfig(**values), np.random.default_rng(0))
+
+
+def path_of(motion, lag_s=0.0, dt_s=0.01):
+    """Where an arm goes that follows with a first-order lag, rad, (k, n)."""
+    joints, speed, path = HOME, np.zeros(6), []
+    for k in range(12_000):
+        speed = speed + dt_s / (lag_s + dt_s) * (motion.command(k * dt_s, joints) - speed)
+        joints = joints + dt_s * speed
+        path.append(joints)
+    return np.array(path)
+
+
+@each("half", [(0.6, *(0.5,) * 5), (0.05,) * 6])
+def test_it_visits_every_part_of_every_pair_of_joints_evenly(half):
+    unit = (path_of(motion(joint_range_rad=half)) - HOME) / half
+    for i in range(6):
+        for j in range(i):
+            counts, _, _ = np.histogram2d(unit[:, i], unit[:, j], 3, [[-1, 1], [-1, 1]])
+            assert counts.min() > 0.3 * counts.mean()
+
+
+def test_joint_limits_cut_the_box():
+    limited = motion(joint_max_rad=tuple(HOME + 0.3))
+    assert np.all(path_of(limited, lag_s=0.03) <= HOME + 0.3)
+    np.testing.assert_allclose(limited.box_rad[1], HOME + 0.1)  # joint_limit_margin_rad below
+    with pytest.raises(ValueError, match=r"wrist_2_joint starts at -1\.57 rad, closer to an"):
+        motion(joint_max_rad=tuple(HOME - 1.0))

@@ -9,6 +9,7 @@ from cases import each
 from fvs_controller_node.reasons import Reason
 from fvs_ros.params import parameters_of
 from fvs_ros.topics import NODES
+from fvs_tools import reference
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -86,3 +87,22 @@ def test_readers_in_a_hurry_get_through():
     assert sum(len(page(path).split()) for path in written) <= 13_000
     index = page(ROOT / "docs" / "index.md")
     assert [path.name for path in DOCS if path.name != "index.md" and path.name not in index] == []
+
+
+# ---- the reference, which is generated ------------------------------------------------------
+
+
+def test_the_committed_page_is_what_would_be_written_now():
+    # No long comparison: the remedy is the same whatever differs.
+    same = reference.PAGE.read_text(encoding="utf-8") == reference.page()
+    assert same, f"run {reference.COMMAND}"
+
+
+def test_parameters_have_si_units_and_no_negative_time_rate_or_size():
+    for node in NODES:
+        for parameter in parameters_of(node):
+            where, name = f"{node}: {parameter.name}", parameter.name
+            assert not name.endswith(("_ms", "_mm", "_cm", "_us", "_ns")), where
+            if name.endswith(("_s", "_hz", "radius_m", "error_m", "_rad_s2")):
+                # Stamps may be early.
+                assert (parameter.minimum or 0.0) >= 0.0 or name == "stamp_delay_s", where

@@ -84,13 +84,3 @@ def test_the_lyapunov_function_gains_what_the_sliding_term_must_cancel():
     slope = (np.sum((true - estimator.weights) ** 2) / 2.0 - before) / dt_s
     wanted = -(config.n1 * e @ e + config.alpha2 * step.sliding_variable @ e)
     assert slope == pytest.approx(wanted, rel=1e-3)
-
-
-def test_a_capped_step_corrects_the_share_mu_of_the_error():
-    model, rng = random_networks(), np.random.default_rng(5)
-    estimator = RbfEstimator(model, RbfConfig(n1=1e6, alpha2=0.0, mu=0.5))
-    step = random_step(rng)
-    before = step.d_feature_m - estimator.jacobian(step.joints_rad) @ step.d_joints_rad
-    estimator.update(step)
-    after = step.d_feature_m - estimator.jacobian(step.joints_rad) @ step.d_joints_rad
-    np.testing.assert_allclose(after, 0.5 * before, rtol=1e-9)

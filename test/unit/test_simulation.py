@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import each
 
+from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import Simulation
 
@@ -136,3 +137,58 @@ def test_same_seed_same_bits_and_another_seed_other_noise(make):
     other_joints, other_balls = trace(first)
     np.testing.assert_array_equal(joints, other_joints)
     assert not np.array_equal(balls, other_balls)
+
+
+# ---- drives ---------------------------------------------------------------------------------
+
+
+DT_S = 0.002
+WIDE = np.full(6, 100.0)
+
+
+def drives(lower=-WIDE, upper=WIDE, **constants):
+    return Actuator(SimConfig(**constants), lower, upper, np.full(6, np.pi))
+
+
+def driven(actuator, steps, command=None, positions=None):
+    """Velocities over time, (steps, 6), with the positions integrated along."""
+    positions = np.zeros(6) if positions is None else positions
+    if command is not None:
+        actuator.command(np.broadcast_to(command, 6))
+    velocities = []
+    for _ in range(steps):
+        velocities.append(actuator.step(positions))
+        positions += DT_S * velocities[-1]
+    return np.array(velocities)
+
+
+def test_dead_time_then_ramp_then_command_for_ever():
+    velocity = driven(drives(lag_s=0.0), 5000, 0.3)[:, 0]
+    assert not velocity[:4].any()
+    np.testing.assert_allclose(velocity[4:14], 15.0 * DT_S * np.arange(1, 11))
+    np.testing.assert_allclose(velocity[14:], 0.3)
+    fastest = driven(drives(), 500, 50.0)[-1]
+    np.testing.assert_allclose(fastest, np.pi, atol=1e-6)
+
+
+@each(("lag_s", "joint_lag_s"), [(0.1, 0.0), (0.0, 0.1)])
+def test_lag_is_first_order(lag_s, joint_lag_s):
+    quick = {"dead_time_s": 0.0, "acceleration_limit_rad_s2": 1000.0}
+    velocity = driven(drives(lag_s=lag_s, joint_lag_s=joint_lag_s, **quick), 30, 1.0)[:, 2]
+    time_s = DT_S * np.arange(1, 31)
+    np.testing.assert_allclose(velocity, 1.0 - np.exp(-time_s / 0.1), atol=1e-12)
+
+
+@each("joint_lag_s", [0.0, 0.05])
+@each("sign", [1.0, -1.0])
+def test_joint_stops_at_its_limit_and_leaves_it_as_from_rest(sign, joint_lag_s):
+    end = WIDE.copy()
+    end[1] = 0.1
+    actuator = drives(lower=-end, upper=end, joint_lag_s=joint_lag_s)
+    resting, positions = drives(joint_lag_s=joint_lag_s), np.zeros(6)
+    velocities = driven(actuator, 400, 0.5 * sign, positions)
+    assert positions[1] == pytest.approx(0.1 * sign, abs=1e-9)
+    assert velocities[-1, 1] == 0.0
+    assert sign * positions[0] > 0.3
+    left = driven(actuator, 50, -0.5 * sign, positions)
+    np.testing.assert_allclose(left[:, 1], driven(resting, 50, -0.5 * sign)[:, 1], atol=1e-12)

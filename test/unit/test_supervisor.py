@@ -9,9 +9,12 @@ from cases import each
 
 from fvs_controller_node.agreement import Verdict
 from fvs_controller_node.base import ControlOutput
+from fvs_controller_node.config import SupervisorConfig
+from fvs_controller_node.goal import Goal
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Present, Supervisor, checked_output
 from fvs_ros.following import Following
+from fvs_ros.kinds.pose import Pose
 
 DT_S, LAG_S = 0.008, 0.03
 FRAME = "camera_color_optical_frame"
@@ -242,23 +245,6 @@ def test_it_waits_for_every_input_and_for_a_start_and_starts_softly(missing):
     np.testing.assert_allclose(cell.run(0.2).velocity_rad_s, WANTED)
 
 
-@each("jerk", [0.0, 100.0])
-def test_a_shutdown_is_at_once_or_within_the_limits_of_jerk_and_acceleration(jerk):
-    cell = servoing()
-    config = dataclasses.replace(cell.supervisor.config, max_joint_jerk_rad_s3=jerk)
-    cell.supervisor.configure(config)
-    command = cell.supervisor.shutdown()
-    assert command.reason is Reason.SHUT_DOWN
-    assert at_rest(command) is not jerk
-    assert not cell.start()
-    moved = [sent.velocity_rad_s for sent in cell.commands[-2:]]
-    cell.talking.clear()  # nor does a joint state come
-    moved += [cell.tick().velocity_rad_s for _ in range(30)]
-    assert not jerk or np.abs(np.diff(moved, 2, axis=0)).max() <= jerk * DT_S**2
-    assert np.abs(moved[20]).max() < 1e-3
-    assert not moved[-1].any()
-
-
 def test_a_gap_that_no_tick_saw_counts_too():
     cell = servoing()
     cell.now_s += 0.5  # the process was stopped; then all messages come at once
@@ -380,3 +366,30 @@ def test_neither_noisy_targets_nor_gaps_in_an_input_hide_an_error_that_grows(eve
         cell.ball_at = lambda _t, error_m=error_m: TARGET + [error_m, 0.0, 0.0]
         command = cell.tick()
         assert error_m < 0.7
+
+
+# ---- the target -----------------------------------------------------------------------------
+
+
+def test_a_target_that_a_new_box_dropped_does_not_come_back_by_itself():
+    config, there = SupervisorConfig(), np.array([0.8, 0.0, 1.0])
+    goal = Goal(config)
+    goal.set(there, FRAME)
+    for _ in range(100):
+        goal.see(there, DT_S, True)
+    goal.configure(dataclasses.replace(config, workspace_max_m=(0.5, 1.0, 3.0)))
+    assert goal.target is None
+    assert goal.set(TARGET, FRAME)[0]  # another task: going there is no swing
+    for left in np.linspace(1.0, 0.0, 300):
+        goal.see(TARGET + left * (there - TARGET), DT_S, True)
+        assert goal.progress.check(config) is None
+
+
+def test_the_direction_of_rotation_is_not_that_of_another_task():
+    pose, goal = Pose(), Goal(SupervisorConfig(feature="pose"))
+    at = pose.of_body(TARGET, np.eye(3))
+    goal.set(pose.retract(at, np.array([0.0, 0.0, 0.0, -0.001, 0.0, 0.0])), FRAME)
+    goal.see(at, DT_S, False)
+    goal.set(pose.retract(at, np.array([0.0, 0.0, 0.0, 0.3 * np.radians(165.0), 0.0, 0.0])), FRAME)
+    goal.see(at, DT_S, False)
+    assert np.degrees(np.linalg.norm(goal.error_m) / 0.3) < 166.0

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import each
-from recordings import Recording, relative_error
+from recordings import Recording, relative_error, rotation_about
 
 from fvs_estimator_node.pairs import TrainingError
 from fvs_estimator_node.training import TrainingOptions, train
@@ -67,3 +67,25 @@ def test_without_torch_the_way_out_is_named(monkeypatch):
     monkeypatch.delitem(sys.modules, "fvs_estimator_node.varpro", raising=False)
     with pytest.raises(TrainingError, match="needs torch: pip install torch, or use the method ri"):
         train(Recording(seconds=20.0).data(), TrainingOptions(method="varpro"))
+
+
+def notes_of(seconds, change, **changes):
+    data = Recording(seconds=seconds, late_s=0.0, outliers=0.0, **changes).data()
+    return train(replace(data, z=change(data.z)), TrainingOptions("poe", neurons=20)).notes
+
+
+def test_a_camera_that_was_moved_meanwhile_is_named_first():
+    def bumped(ball):
+        half, rotation = len(ball) // 2, rotation_about([0.0, 0.0, 1.0], np.radians(3.0))
+        return np.vstack([ball[:half], ball[half:] @ rotation.T])
+
+    note = notes_of(20.0, bumped)[0]
+    assert "does not move on a rigid chain" in note
+    assert 0 < note.index("moved the camera") < note.index("joint names")
+
+
+def test_a_cameras_own_systematic_errors_are_no_alarm():
+    def uneven(ball):
+        return ball + 0.0005 * np.sin(20.0 * ball[:, [1, 2, 0]])
+
+    assert notes_of(30.0, uneven, noise_m=0.0003) == ()
