@@ -26,7 +26,8 @@ IMPLICIT, LITERAL = "implicit", "literal"
 EACH_AXIS, STRAIGHT = "each_axis", "straight"
 
 _NEWTON_ITERATIONS, _MAX_ITERATIONS = 12, 80
-_TOLERANCE, _TINY_M = 1e-14, 1e-12
+#: A last step of Newton's method whose error, its square, is that of a double.
+_LAST_STEP, _TINY_M = 1e-8, 1e-12
 
 
 def next_sliding_value(s: float, law: ReachingLaw, dt_s: float) -> float:
@@ -65,9 +66,7 @@ def _root(
     low, high = 0.0, target / linear
     if weight == 0.0 or high == 0.0:
         return copysign(high, right)
-    z = abs(guess) if guess * right > 0.0 else high
-    if not low < z < high:
-        z = 0.5 * high
+    z = min(abs(guess), high) if guess * right > 0.0 else high
     for iteration in range(_MAX_ITERATIONS):
         value, slope = function(z)
         residual = linear * z + weight * value - target
@@ -77,10 +76,13 @@ def _root(
             low = z
         before = z
         z -= residual / (linear + weight * slope)
-        if iteration >= _NEWTON_ITERATIONS or not low < z < high:
+        if iteration < _NEWTON_ITERATIONS and low <= z <= high:
+            if abs(z - before) <= _LAST_STEP * z:
+                break
+        else:
             z = 0.5 * (low + high)
-        if abs(z - before) <= _TOLERANCE * z + _TINY_M:
-            break
+            if high - low <= _TINY_M:
+                break
     return copysign(z, right)
 
 
@@ -131,7 +133,7 @@ class FtsmLaw(ControlLaw):
     def command(self, state: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
         gains = self.gains
-        velocity_m_s = state.jacobian @ state.applied_rad_s
+        velocity_m_s = state.jacobian.dot(state.applied_rad_s)
         solve = self._implicit if gains.discretisation == IMPLICIT else self._literal
         if gains.ftsm_path == STRAIGHT:
             distance_m, axis = _toward(state.error_m)
