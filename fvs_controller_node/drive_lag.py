@@ -33,7 +33,10 @@ _AVERAGED_S, _MOVING_RAD_S = 0.16, 0.02
 
 
 class DriveLag:
-    """Estimates the lag of the drives, ``lag_s``, from commands and joint positions."""
+    """Estimates the lag of the drives, ``lag_s``, from commands and joint positions.
+
+    ``pending_rad`` is the motion that was commanded and is still to come, rad, (n,) or (1,).
+    """
 
     def __init__(self) -> None:
         self.lag_s, self._known = _FIRST_S, _FIRST  # before anything has moved
@@ -41,26 +44,14 @@ class DriveLag:
         self._commanded = History()  # the path as commanded
         self._constant: np.ndarray | None = None
         self._joints: np.ndarray | float = 0.0
-        self._behind: np.ndarray | float = 0.0
-        self._slow_behind: np.ndarray | float = 0.0
+        self._behind: np.ndarray | float = 0.0  # how far the joints trail, but for the slow part
         self._slow_command: np.ndarray | float = 0.0
+        self.pending_rad = np.zeros(1)
 
     @property
     def most_s(self) -> float:
         """The largest lag that the drives may have, s: of all drives, while none is known."""
         return self.lag_s * _DOUBT + self._guessed * (LONGEST_LAG_S - _FIRST_S * _DOUBT)
-
-    def pending_rad(self) -> np.ndarray:
-        """Motion that was commanded and is still to come, rad, shape (n,) or (1,)."""
-        commanded, done = self._commanded.newest, self._done(self.lag_s)
-        if commanded is None or done is None:
-            return np.zeros(1) if commanded is None else np.zeros_like(commanded)
-        return commanded - done
-
-    def _done(self, late_s: float) -> np.ndarray | None:
-        """The path that had been commanded a lag ago, rad, shape (n,)."""
-        newest_s = self._commanded.newest_stamp_s
-        return None if newest_s is None else self._commanded.at(newest_s - late_s)
 
     def add(
         self,
@@ -78,54 +69,56 @@ class DriveLag:
         before_s, commanded = self._commanded.newest_stamp_s, self._commanded.newest
         moved, self._joints = joints_rad - self._joints, joints_rad
         if before_s is None or commanded is None:
-            self._commanded.add(stamp_s, np.zeros_like(joints_rad))
+            self._commanded.add(stamp_s, np.zeros(joints_rad.size))
             return joints_rad
         dt_s = stamp_s - before_s
-        went_on = self._commanded.add(stamp_s, commanded + dt_s * command_rad_s)
-        if dt_s <= 0.0 or not (went_on and compare):
+        commanded = commanded + dt_s * command_rad_s
+        went_on = self._commanded.add(stamp_s, commanded)
+        compare = compare and went_on and dt_s > 0.0
+        if compare:
+            self._learn(command_rad_s, moved, dt_s)
+        done = self._commanded.at(stamp_s - self.lag_s)
+        self.pending_rad = np.zeros(joints_rad.size) if done is None else commanded - done
+        before = self._commanded.at(stamp_s - self.lag_s - dt_s) if compare else None
+        if not compare:
             self._constant = None
-            return joints_rad
-        self._behind = self._behind + command_rad_s * dt_s - moved
-        share = dt_s / (_SLOW_S + dt_s)
-        self._slow_behind = self._slow_behind + share * (self._behind - self._slow_behind)
-        self._slow_command = self._slow_command + share * (command_rad_s - self._slow_command)
-        behind, command = self._behind - self._slow_behind, command_rad_s - self._slow_command
-        power = float(command @ command) * dt_s
-        # Bounds the effect of a stall, however long: no drive lags by more.
-        late = min(max(float(behind @ command) * dt_s, 0.0), LONGEST_LAG_S * power)
-        self._known = min(self._known + power, _MEMORY)
-        self.lag_s += (late - power * self.lag_s) / self._known
-        self._guessed *= 1.0 - power / self._known
-        return self._averaged(joints_rad, command_rad_s, dt_s)
-
-    def _averaged(
-        self, joints_rad: np.ndarray, command_rad_s: np.ndarray, dt_s: float
-    ) -> np.ndarray:
-        done, before = self._done(self.lag_s), self._done(self.lag_s + dt_s)
         if done is None or before is None:
             return joints_rad
         constant = joints_rad - done
         if self._constant is None:
             self._constant = constant
-        # The faster of the command and of its effect on the joints now.
-        speed = np.maximum(np.abs(command_rad_s), np.abs(done - before) / dt_s)
-        share = np.maximum(dt_s / _AVERAGED_S, speed**2 / (speed**2 + _MOVING_RAD_S**2))
+        # The squared speed of the command, or of its effect on the joints now if that is faster.
+        effect = (done - before) / dt_s
+        speed_2 = np.maximum(command_rad_s * command_rad_s, effect * effect)
+        share = np.maximum(dt_s / _AVERAGED_S, speed_2 / (speed_2 + _MOVING_RAD_S**2))
         self._constant = self._constant + np.minimum(share, 1.0) * (constant - self._constant)
         return done + self._constant
+
+    def _learn(self, command_rad_s: np.ndarray, moved_rad: np.ndarray, dt_s: float) -> None:
+        share = dt_s / (_SLOW_S + dt_s)
+        self._behind = behind = (1.0 - share) * (self._behind + command_rad_s * dt_s - moved_rad)
+        self._slow_command = self._slow_command + share * (command_rad_s - self._slow_command)
+        command = command_rad_s - self._slow_command
+        power = float(command.dot(command)) * dt_s
+        # Bounds the effect of a stall, however long: no drive lags by more.
+        late = min(max(float(behind.dot(command)) * dt_s, 0.0), LONGEST_LAG_S * power)
+        self._known = min(self._known + power, _MEMORY)
+        self.lag_s += (late - power * self.lag_s) / self._known
+        self._guessed *= 1.0 - power / self._known
 
 
 def brake(output: ControlOutput, present: ControlInput, limits: JointLimits) -> ControlOutput:
     """Limit the output to a speed from which the arm can brake at the target."""
     velocity, error_m = output.velocity_rad_s, present.error_m
-    fastest = largest(velocity / limits.share)
-    closing = -float(error_m @ (present.jacobian @ velocity))
+    closing = -float(error_m.dot(present.jacobian.dot(velocity)))
     if closing <= 0.0:
         return output
+    fastest = largest(velocity / limits.share)
     # At this velocity the error is gone after this time.
-    to_go_s = float(error_m @ error_m) / closing
+    to_go_s = float(error_m.dot(error_m)) / closing
     acceleration = BRAKING_SHARE * limits.max_joint_acceleration_rad_s2
     jerk = limits.max_joint_jerk_rad_s3
     limit = braking_speed(fastest * to_go_s, acceleration, present.dt_s, jerk)
-    if limit < fastest:
-        velocity = (limit / fastest) * velocity
-    return output._replace(velocity_rad_s=velocity)
+    if limit >= fastest:
+        return output
+    return output._replace(velocity_rad_s=(limit / fastest) * velocity)

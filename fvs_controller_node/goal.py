@@ -28,7 +28,7 @@ class _Mark(NamedTuple):
     target_m: np.ndarray | None
 
     def gone_m(self, target_m: np.ndarray | None) -> float:
-        if target_m is None or self.target_m is None:
+        if target_m is self.target_m or target_m is None or self.target_m is None:
             return 0.0
         return length(target_m - self.target_m)
 
@@ -147,7 +147,8 @@ class Goal:
     def configure(self, config: SupervisorConfig) -> None:
         """Change the settings; a target that a new box leaves outside is dropped."""
         self._config = config
-        if self.target is not None and self._outside(self.target):
+        held = (self.target, self._last)
+        if any(target is not None and self._outside(target) for target in held):
             self.target = self._last = None
             self._motion.restart()
             self.progress = Progress()  # the next target is another task, wherever it is
@@ -196,8 +197,10 @@ class Goal:
     def track(self, now_s: float) -> None:
         """Update a moving target to now, s; outside the workspace it stays at its last position."""
         now, self.velocity_m_s = self._motion.at(now_s), None
-        if now is None or self._last is None:
+        if now is None:
+            self.target, self._now_m = self._last, self._path_m
             return
+        assert self._last is not None
         target, gone_m = self._last, now.position_m - self._path_m
         if gone_m.any():
             target = self._config.kind.retract(target, gone_m)

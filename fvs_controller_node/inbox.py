@@ -150,20 +150,18 @@ class Inbox:
 
     def add(self, name: str, now_s: float, values: np.ndarray) -> bool:
         """Take joints, (n,), rad, feature, (m,), or Jacobian, (d, n); False if unusable."""
-        values = np.asarray(values, dtype=float)
-        kind, n = self._config.kind, len(self._config.joint_names)
+        values, kind = np.asarray(values, dtype=float), self._config.kind
+        n = len(self._config.joint_names)
         shape = {JOINT_STATES: (n,), FEATURE: (kind.numbers,), JACOBIAN: (kind.size, n)}[name]
-        wanted = " x ".join(str(length) for length in shape)
-        if values.shape != shape:
-            self[name].bad(f"expected {wanted} numbers, got shape {values.shape}")
-        elif not plausible(kind.weights * values if name == FEATURE else values):
-            self[name].bad(
-                f"expected {wanted} finite numbers up to {LARGEST:g} in metres and radians, "
-                f"got {values.tolist()}",
-            )
-        else:
+        fits = values.shape == shape
+        if fits and plausible(kind.weights * values if name == FEATURE else values):
             self[name].good(now_s)
             return True
+        wanted = " x ".join(map(str, shape))
+        self[name].bad(
+            f"expected {wanted} finite numbers up to {LARGEST:g} in metres and radians, "
+            f"got {values.tolist() if fits else f'shape {values.shape}'}"
+        )
         return False
 
     def add_program_running(self, running: bool) -> None:

@@ -218,12 +218,13 @@ class ServoLoop:
             self.supervisor.goal.track(self._stamp_s)
         if self._home is None:  # motion before this start must not count
             self._agreement.restart()
+        z = self.track.now()
         return Present(
             joints_rad=self._joints,
-            z=self.track.now(),
+            z=z,
             jacobian=self._jacobian,
-            pending_rad=self._drive_lag.pending_rad(),
-            problem=self.track.problem,
+            pending_rad=self._drive_lag.pending_rad,
+            problem=self.track.problem if z is None else "",
             verdict=self._agreement.verdict,
             not_following=self._following.fault,
         )
@@ -250,10 +251,10 @@ class ServoLoop:
         assert error_m is not None
         if self._home is None:
             self._home = joints
-        error_m = error_m + jacobian @ present.pending_rad
+        error_m = error_m + jacobian.dot(present.pending_rad)
         feed_forward = None
-        if self._follows and goal.velocity_m_s is not None and goal.velocity_m_s.any():
-            velocity_m_s = goal.velocity_m_s
+        velocity_m_s = goal.velocity_m_s
+        if self._follows and velocity_m_s is not None and velocity_m_s.any():
             error_m = error_m - self._drive_lag.lag_s * velocity_m_s
             feed_forward = self._follower.joint_velocity(jacobian, velocity_m_s, joints, self._home)
             applied = applied - feed_forward

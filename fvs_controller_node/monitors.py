@@ -5,9 +5,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from fvs_controller_node.agreement import Verdict
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import Finding, Reason
+from fvs_ros.vectors import length
 
 #: Least measured share of the predicted motion of an image that follows the arm. A turned camera
 #: shows all of it, in another direction; with a Jacobian that still learns, about all of it shows.
@@ -33,11 +36,15 @@ class PredictionMonitor:
         self._mispredicted_m = 0.0  # predicted motion meanwhile
 
     def check(
-        self, verdict: Verdict | None, moved_m: float, config: SupervisorConfig
+        self,
+        verdict: Verdict | None,
+        jacobian: np.ndarray,
+        moved_rad: np.ndarray,
+        config: SupervisorConfig,
     ) -> Finding | None:
         """Find an image that does not follow the arm, or a Jacobian that predicts badly.
 
-        ``moved_m`` is the predicted motion of the ball since the last tick.
+        ``moved_rad`` is the joints' motion since the last tick, (n,).
         """
         if verdict is not None and verdict.seen_share < LEAST_SEEN:
             return Reason.IMAGE_NOT_FOLLOWING.because(
@@ -48,7 +55,7 @@ class PredictionMonitor:
         if verdict is None or verdict.error_ratio <= config.prediction_hold:
             self._mispredicted_m = 0.0
             return None
-        self._mispredicted_m += moved_m
+        self._mispredicted_m += length(jacobian.dot(moved_rad))
         if self._mispredicted_m < config.prediction_hold_m:
             return None
         return Reason.PREDICTION_ERROR.because(

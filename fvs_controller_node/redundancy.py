@@ -77,11 +77,11 @@ def damped_solution(jacobian: np.ndarray, velocity: np.ndarray, damping: float) 
 
     Straight from LAPACK: numpy's solver takes four times as long.
     """
-    gram = jacobian @ jacobian.T
+    gram = jacobian.dot(jacobian.T)
     # With a huge Jacobian mu would be lost to rounding, and the Cholesky factors would fail.
     entries = jacobian.ravel()
     gram.flat[:: len(gram) + 1] += max(damping, 1e-14 * float(entries.dot(entries)))
-    return jacobian.T @ dposv(gram, velocity)[1]
+    return jacobian.T.dot(dposv(gram, velocity)[1])
 
 
 def singular_values(matrix: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from fvs_controller_node.redundancy import singular_values
 from fvs_ros.following import TrackingFault
 from fvs_ros.kinds import ErrorText
 from fvs_ros.limiter import CommandLimiter
-from fvs_ros.vectors import all_finite, largest, length
+from fvs_ros.vectors import all_finite, largest
 
 #: Speed at which the arm may leave a singular pose, rad/s.
 _LEAVING_RAD_S = 0.1
@@ -212,9 +212,10 @@ class Supervisor:
         """Check the monitors that apply in motion; every one of them runs at every tick."""
         config, present = self.config, self._present
         assert present.jacobian is not None
-        moved_m = dt_s * length(present.jacobian @ self._limiter.velocity_rad_s)
         findings = (
-            self._prediction.check(present.verdict, moved_m, config),
+            self._prediction.check(
+                present.verdict, present.jacobian, dt_s * self._limiter.velocity_rad_s, config
+            ),
             self.goal.progress.check(config),
             self._following(present.not_following),
         )
@@ -252,8 +253,8 @@ class Supervisor:
         if self._singularity.leaving:
             fast = min(fast, _LEAVING_RAD_S)
             self._singularity.go_on(dt_s)
-        wanted = np.asarray(output.velocity_rad_s, dtype=float)
-        active += self._limiter.move(wanted, joints, dt_s, self._present.pending_rad, fast)
+        wanted, pending_rad = np.asarray(output.velocity_rad_s, float), self._present.pending_rad
+        active += self._limiter.move(wanted, joints, dt_s, pending_rad, fast)
         reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING
         error = self.goal.error_m
         assert error is not None
@@ -323,7 +324,7 @@ def checked_output(
     try:
         output = propose()
         for name, value, count in zip(output._fields, output, counts, strict=True):
-            if np.shape(value) != (count,) or not all_finite(np.asarray(value)):
+            if value.shape != (count,) or not all_finite(value):
                 raise ValueError(f"its {name} is {value}")
     except Exception as error:  # whatever a law does wrong
         return Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}"), None

@@ -123,29 +123,27 @@ class TargetMotion:
         self._interval_s = float(np.diff(times_s[-_WINDOW:]).mean())
 
     def at(self, now_s: float) -> Target | None:
-        """Extrapolate the target to now, s; None before the first update.
+        """Extrapolate the target to now, s; None where it stands at the last update.
 
         After the last update it continues for a few intervals, without curvature after the first
-        one. Then it is fixed at the last update.
+        one. Then it is fixed there.
         """
-        if not self._updates:
+        curve = self._curve
+        if curve is None:
             return None
-        last_s, last = self._updates[-1]
-        since_s, curve = now_s - last_s, self._curve
-        standing = Target(last, np.zeros_like(last))
+        since_s = now_s - self._updates[-1][0]
         # A target stamped slightly ahead of the joint states is interpolated backwards.
-        longest_s = self._age_s + min(MAX_GAP_S, 3.0 * self._interval_s)
-        if curve is None or not -_OWN_CLOCK_S < since_s < longest_s:
-            return standing
+        if not -_OWN_CLOCK_S < since_s < self._age_s + min(MAX_GAP_S, 3.0 * self._interval_s):
+            return None
         if len(curve) == 1:
-            return standing._replace(position_m=curve[0])
+            return Target(curve[0], np.zeros(curve[0].size))
         velocity = curve[1].copy()
         position = curve[0] + since_s * velocity
         if len(curve) > 2:
             bent_s = min(since_s, self._age_s + self._interval_s)
             position += bent_s * (2.0 * since_s - bent_s) * curve[2]
             velocity += 2.0 * bent_s * curve[2]
-        return standing if length(velocity) > _FASTEST_M_S else Target(position, velocity)
+        return None if length(velocity) > _FASTEST_M_S else Target(position, velocity)
 
 
 def _polynomial(

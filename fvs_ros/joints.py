@@ -162,8 +162,8 @@ class JointMap:
             most_rad = possible_rad if possible_rad < pi else held_rad
             turns_rad[np.abs(step - turns_rad) > most_rad] = 0.0
             step, self._turns_rad = step - turns_rad, self._turns_rad - turns_rad
-        joint = int(np.abs(step).argmax())
-        if passed_s > 0.0 and abs(step[joint]) > possible_rad:
+        if passed_s > 0.0 and largest(step) > possible_rad:
+            joint = int(np.abs(step).argmax())
             doubt = "do two nodes publish joint states?"
             if largest(wrapped) > 4.0 * pi:
                 doubt = f"are they in degrees, expected rad, or {doubt}"

@@ -182,9 +182,10 @@ def limit_acceleration(
     ndarray, shape (n,)
         Never further than ``max_step`` from ``last`` in any joint.
     """
-    if (abs(velocity - last) <= max_step).all():
-        return velocity
     low, high = last - max_step, last + max_step
+    nearest = np.minimum(np.maximum(velocity, low), high)
+    if nearest.tolist() == velocity.tolist():
+        return velocity
     scale, lowest = 1.0, 0.0
     for v, lo, hi in zip(velocity.tolist(), low.tolist(), high.tolist(), strict=True):
         if v > 0.0:
@@ -193,8 +194,7 @@ def limit_acceleration(
             scale, lowest = min(scale, lo / v), max(lowest, hi / v)
         elif not lo <= 0.0 <= hi:
             lowest = np.inf
-    wanted = velocity * scale if lowest <= scale else velocity
-    return np.minimum(np.maximum(wanted, low), high)
+    return np.minimum(np.maximum(velocity * scale, low), high) if lowest <= scale else nearest
 
 
 def limit_jerk(

@@ -66,14 +66,14 @@ class History:
         self._values.clear()
 
     def add(self, stamp_s: float, value: np.ndarray) -> bool:
-        """Append a sample; False if the clock jumped, so that the history was started anew."""
+        """Keep a sample; False if the clock jumped, so that the history was started anew."""
         if repeats(stamp_s, self.newest_stamp_s):
             return True
         jumped = bool(self._stamps) and not 0.0 < stamp_s - self._stamps[-1] <= _LENGTH_S
         if jumped:
             self.clear()
         self._stamps.append(stamp_s)
-        self._values.append(np.array(value, dtype=float))
+        self._values.append(value)
         while self._stamps[-1] - self._stamps[0] > _LENGTH_S:
             self._stamps.popleft()
             self._values.popleft()

@@ -46,7 +46,7 @@ class CommandPublisher:
         time waits for an answer to each joint state: then it is where the joints are.
         """
         values, last, self._last = velocity_rad_s, self._last, velocity_rad_s
-        if not dt_s and values.any() and np.array_equal(values, last) and not self._lock_step:
+        if not dt_s and not self._lock_step and values.any() and np.array_equal(values, last):
             return ()  # a tick that counts for nothing: the driver holds this command already
         if self._path is not None:
             moving = bool(velocity_rad_s.any())

@@ -21,6 +21,7 @@ from fvs_ros.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
+from fvs_ros.vectors import all_finite
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -180,7 +181,7 @@ def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:
     command, or be deactivated.
     """
     velocity = np.asarray(velocity_rad_s, dtype=float)
-    if velocity.ndim != 1 or not np.all(np.isfinite(velocity)):
+    if velocity.ndim != 1 or not all_finite(velocity):
         raise MessageError(f"a command must be finite numbers, one for each joint, got {velocity}")
     return Float64MultiArray(data=velocity.tolist())
 
