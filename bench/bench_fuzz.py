@@ -2,7 +2,7 @@
 
 python -m bench fuzz; FVS_BENCH_CYCLES is the number of ticks, FVS_BENCH_SEED the first seed.
 
-Each rule of :class:`Machine` is one thing that happens to a :class:`~bench.fuzz_world.World`;
+Each rule of :class:`Machine` is one thing that happens in a :class:`~bench.fuzz_world.World`;
 Hypothesis draws their order and numbers, on every core. The first broken promise ends the campaign:
 Hypothesis shrinks it to the shortest script that breaks it, and prints that.
 """
@@ -130,8 +130,11 @@ CHANGES = st.one_of(
 )
 
 
-class Machine(RuleBasedStateMachine):
-    """One controller and what happens to it; called by hand, the rules are a script."""
+class Machine(RuleBasedStateMachine, World):
+    """A world and what happens in it; called by hand, the rules are a script."""
+
+    def __init__(self):
+        RuleBasedStateMachine.__init__(self)
 
     @initialize(
         law=st.sampled_from(sorted(LAWS)),
@@ -155,19 +158,19 @@ class Machine(RuleBasedStateMachine):
         """Make the world, of the plainest law by default, at rest or at work."""
         given = {"law": law, "autostart": autostart, "max_joint_jerk_rad_s3": jerk}
         given["command_interface"] = interface
-        self.world = World(given, **world)
-        Promises(self.world)
+        World.__init__(self, given, **world)
+        Promises(self)
         if at_work:
             self.work()
 
     def teardown(self):
         """Shut down, unless something is wrong already."""
-        if sys.exc_info()[0] is None and hasattr(self, "world"):
-            self.world.shut_down()
+        if sys.exc_info()[0] is None and hasattr(self, "node"):
+            self.shut_down()
 
     def _of_joints(self, values):
         """As many of the values as the arm has joints."""
-        return np.resize(values, self.world.joints.size)
+        return np.resize(values, self.joints.size)
 
     # ---- the operator -----------------------------------------------------------------------
 
@@ -177,122 +180,111 @@ class Machine(RuleBasedStateMachine):
         if mend:
             self.robot(True, 100.0, 0)
             self.show(1.0)
-            self.world.plant, self.world.estimate = "obeys", self.world.true
-        self.world.run(FRESH_TICKS)
-        self.world.send_target(self.world.ball() + self.world.true @ self._of_joints(way_rad))
-        self.world.start()
-        self.world.run(ticks)
+            self.plant, self.estimate = "obeys", self.true
+        self.run(FRESH_TICKS)
+        self.send_target(self.ball() + self.true @ self._of_joints(way_rad))
+        self.start()
+        self.run(ticks)
 
     work_again = work  # twice as often as anything else: most of the time the arm should move
 
-    @rule(ticks=TICKS, steady_s=STEADY_S, ros_s=st.one_of(st.none(), STAMP_S))
-    def wait(self, ticks, steady_s=TICK_S, ros_s=None):
-        """Let time pass, by clocks that run, crawl, stand or jump, together or apart."""
-        self.world.run(ticks, steady_s=steady_s, ros_s=ros_s)
+    @rule(
+        ticks=TICKS,
+        silent=st.just(()) | st.sets(st.sampled_from(list(MAX_AGE))),
+        frozen=st.just(()) | st.sets(st.sampled_from((JOINT_STATES, BALL))),
+        steady_s=STEADY_S,
+        ros_s=st.one_of(st.none(), STAMP_S),
+    )
+    def wait(self, ticks, **how):
+        """Let time pass, by any clocks, with inputs that fall silent or repeat their stamps."""
+        self.run(ticks, **how)
 
     @rule(name=st.sampled_from(["start", "stop", "set_current_as_target"]), ticks=TICKS)
     def call(self, name, ticks=0):
         """Call a service."""
-        own = {"start": self.world.start, "stop": self.world.stop}
-        own.get(name, lambda: self.world.node.call(f"~/{name}"))()
-        self.world.run(ticks)
+        own = {"start": self.start, "stop": self.stop}
+        own.get(name, lambda: self.node.call(f"~/{name}"))()
+        self.run(ticks)
 
     @rule(target_m=st.lists(NUMBER, min_size=N_AXES, max_size=N_AXES), frame=FRAME)
     def odd_target(self, target_m, frame=CAMERA_FRAME):
         """Send any target, in any frame."""
-        self.world.send_target(self.world.ball() if target_m is None else target_m, frame)
-        self.world.run(3)
+        self.send_target(self.ball() if target_m is None else target_m, frame)
+        self.run(3)
 
     @rule(step_m=vector(N_AXES, 0.02), count=st.integers(1, 40), every=st.integers(1, 9))
     def moving_target(self, step_m, count, every):
         """Send a target again and again on its way."""
-        at_m = self.world.ball()
+        at_m = self.ball()
         for _ in range(count):
             at_m = at_m + step_m
-            self.world.send_target(at_m)
-            self.world.run(every)
+            self.send_target(at_m)
+            self.run(every)
 
     @rule(changes=CHANGES, ticks=TICKS)
     def change(self, changes, ticks=0):
         """Change live parameters in mid-motion."""
-        count = self.world.joints.size  # also of what is drawn for more joints
+        count = self.joints.size  # also of what is drawn for more joints
         ends = {*changes} & {*URDF_LIMITS}
         cut = {name: changes[name][:count] for name in ends if isinstance(changes[name], list)}
-        self.world.set({**changes, **cut})
-        self.world.run(ticks)
+        self.set({**changes, **cut})
+        self.run(ticks)
 
     @rule(room_rad=st.lists(st.floats(-0.05, 0.3), min_size=MOST_JOINTS, max_size=MOST_JOINTS))
     def close_in(self, room_rad):
         """Let the ends of the joints' ranges close in on where the arm is."""
         room_rad = self._of_joints(room_rad)
-        low = self.world.joints - room_rad
-        high = np.maximum(self.world.joints + room_rad, low + 0.002)
+        low = self.joints - room_rad
+        high = np.maximum(self.joints + room_rad, low + 0.002)
         self.change({"joint_min_rad": low.tolist(), "joint_max_rad": high.tolist()}, 10)
-
-    @rule(
-        fast=st.lists(st.floats(0.02, 3.0), min_size=MOST_JOINTS, max_size=MOST_JOINTS), ticks=TICKS
-    )
-    def slow_joints(self, fast, ticks):
-        """Let single joints be slower than the others."""
-        self.change({"joint_velocity_limits_rad_s": fast}, ticks)
 
     @rule(joint=JOINT, side=st.sampled_from([-1, 1]), room_rad=st.floats(0.0, 0.3), ticks=TICKS)
     def to_the_limit(self, joint, side, room_rad, ticks):
         """Put the arm near an end of its range, with a target beyond."""
-        world, joint = self.world, joint % self.world.joints.size
-        ball_m, limits = world.ball(), world.limits
-        end_rad = limits.upper_rad if side > 0 else limits.lower_rad
+        joint %= self.joints.size
+        ball_m = self.ball()
+        end_rad = self.limits.upper_rad if side > 0 else self.limits.lower_rad
         near_rad = end_rad[joint] - side * room_rad
-        if abs(near_rad - world.joints[joint]) > 1.5 * math.pi:
+        if abs(near_rad - self.joints[joint]) > 1.5 * math.pi:
             return  # by about a turn, which is none of a driver that wraps
-        world.joints[joint] = near_rad
-        self._push(ball_m - world.ball())
-        world.honest = False
-        world.run(FRESH_TICKS)
-        world.send_target(world.ball() + side * 0.5 * world.true[:, joint])
-        world.start()
-        world.run(ticks)
+        self.joints[joint] = near_rad
+        self._push(ball_m - self.ball())
+        self.honest = False
+        self.run(FRESH_TICKS)
+        self.send_target(self.ball() + side * 0.5 * self.true[:, joint])
+        self.start()
+        self.run(ticks)
 
     # ---- robot, camera, estimator -----------------------------------------------------------
-
-    @rule(
-        silent=st.sets(st.sampled_from(list(MAX_AGE))),
-        frozen=st.sets(st.sampled_from((JOINT_STATES, BALL))),
-        ticks=TICKS,
-        steady_s=STEADY_S,
-    )
-    def silence(self, silent=(), frozen=(), ticks=40, steady_s=TICK_S):
-        """Let inputs fall silent, or repeat their stamps."""
-        self.world.run(ticks, silent=silent, frozen=frozen, steady_s=steady_s)
 
     @rule(running=OFTEN, percent=st.sampled_from([100.0] * 9 + [30.0, -1.0, *ODD]), ticks=TICKS)
     def robot(self, running=True, percent=100.0, ticks=5):
         """Let the robot's program stop or run, and turn its speed slider."""
-        self.world.send_program(running)
-        self.world.send_scaling(percent)
-        self.world.run(ticks)
+        self.send_program(running)
+        self.send_scaling(percent)
+        self.run(ticks)
 
     @rule(plant=st.sampled_from(sorted(PLANTS)), ticks=TICKS)
     def arm(self, plant, ticks):
         """Let the drives answer in another way."""
-        self.world.plant = plant
-        self.world.run(ticks)
+        self.plant = plant
+        self.run(ticks)
 
     @rule(joint=JOINT, step_rad=st.floats(-0.5, 0.5))
     def knock(self, joint, step_rad):
         """Let a joint jump."""
-        self.world.joints[joint % self.world.joints.size] += step_rad
-        self.world.honest = False
-        self.world.new_image = True
-        self.world.run(8)
+        self.joints[joint % self.joints.size] += step_rad
+        self.honest = False
+        self.new_image = True
+        self.run(8)
 
     @rule(values=OF_JOINTS, own=st.booleans(), ticks=st.integers(1, 9))
     def other_commander(self, values, own=False, ticks=9):
         """Let another node command the arm, or one's own commands come back."""
         values = self._of_joints(values)
         for _ in range(ticks):
-            self.world.send_command(self.world.last if own else values)
-            self.world.run(1)
+            self.send_command(self.last if own else values)
+            self.run(1)
 
     @rule(
         signs=st.sampled_from([(1, 1, 1), (-1, -1, -1), (1, -1, 1)]),
@@ -303,26 +295,26 @@ class Machine(RuleBasedStateMachine):
     )
     def estimator(self, signs=1, scale=1.0, smallest=None, noise=0.0, ticks=20):
         """Let the estimator err: in sign, scale, smallest singular value, or anyhow."""
-        true = self.world.true
+        true = self.true
         u, s, vt = np.linalg.svd(true, full_matrices=False)
         s[-1] = s[-1] if smallest is None else smallest
         erring = scale * (u * s) @ vt + np.resize(noise, true.shape)
-        self.world.estimate = np.resize(signs, (N_AXES, 1)) * erring
-        self.world.run(ticks)
+        self.estimate = np.resize(signs, (N_AXES, 1)) * erring
+        self.run(ticks)
 
     @rule(share=st.sampled_from([1.0, 0.0, -1.0, 0.1, 0.5, 2.0]), ticks=TICKS, steady_s=STEADY_S)
     def show(self, share, ticks=0, steady_s=TICK_S):
         """From where the ball is, let the camera show this share of its motion; 0: it is frozen."""
-        ball_m, self.world.seen_share = self.world.ball(), share
-        self._push(ball_m - self.world.ball())
-        self.world.run(ticks, steady_s=steady_s)
+        ball_m, self.seen_share = self.ball(), share
+        self._push(ball_m - self.ball())
+        self.run(ticks, steady_s=steady_s)
 
     @rule(step_m=vector(N_AXES, 0.3), steps=st.integers(1, 100), steady_s=STEADY_S)
     def push(self, step_m, steps, steady_s=TICK_S):
         """Push the ball, or the camera, away: at once or steadily."""
         for _ in range(steps):
             self._push(np.array(step_m) / steps)
-            self.world.run(1, steady_s=steady_s)
+            self.run(1, steady_s=steady_s)
 
     @rule(size_m=st.floats(0.02, 0.12), ticks=st.integers(0, 600))
     def swing(self, size_m, ticks):
@@ -330,11 +322,11 @@ class Machine(RuleBasedStateMachine):
         for tick in range(ticks):
             by_m = size_m * (math.sin(0.1 * tick) - math.sin(0.1 * (tick - 1)))
             self._push(by_m * np.eye(N_AXES)[0])
-            self.world.run(1, steady_s=0.01)
+            self.run(1, steady_s=0.01)
 
     def _push(self, step_m):
-        self.world.push_m = self.world.push_m + step_m
-        self.world.new_image = True  # the image shows more than the arm's motion
+        self.push_m = self.push_m + step_m
+        self.new_image = True  # the image shows more than the arm's motion
 
     # ---- messages and answers that should not be ---------------------------------------------
 
@@ -346,21 +338,21 @@ class Machine(RuleBasedStateMachine):
     )
     def odd_joints(self, names=range(MOST_JOINTS), odd=None, more=0, late_s=0.0):
         """Send joint states with names (or places), positions or stamps that are odd."""
-        own = self.world.names
+        own = self.names
         names = [own[one] if isinstance(one, int) else one for one in names
                  if not isinstance(one, int) or one < len(own)]  # fmt: skip
-        known = dict(zip(own, self.world.joints.tolist(), strict=True))
+        known = dict(zip(own, self.joints.tolist(), strict=True))
         positions = [known.get(name, 0.5) for name in (*names, "")][: len(names) + more]
         for index, value in (odd or {}).items():
             positions[index : index + 1] = [value] if index < len(positions) else []
-        self.world.send_joints(positions, self.world.ros_s - late_s, names)
+        self.send_joints(positions, self.ros_s - late_s, names)
 
     @rule(odd=odd_at(N_AXES), late_s=STAMP_S, frame=FRAME)
     def odd_ball(self, odd, late_s=0.0, frame=CAMERA_FRAME):
         """Send a ball position with numbers, stamp or frame that are odd."""
-        ball_m = self.world.ball().copy()
+        ball_m = self.ball().copy()
         ball_m[list(odd)] = list(odd.values())
-        self.world.send_ball(ball_m, self.world.ros_s - late_s, frame)
+        self.send_ball(ball_m, self.ros_s - late_s, frame)
 
     @rule(
         odd=odd_at(N_AXES * 4),
@@ -369,23 +361,23 @@ class Machine(RuleBasedStateMachine):
     )
     def odd_jacobian(self, odd, size, sizes):
         """Send a Jacobian with numbers or dimensions that are odd."""
-        data, true = self.world.estimate.ravel().copy(), self.world.true
+        data, true = self.estimate.ravel().copy(), self.true
         data[list(odd)] = list(odd.values())
         size, sizes = true.size if size is None else size, true.shape if sizes is None else sizes
         message = Float64MultiArray(data=np.resize(data, size).tolist())
         message.layout.dim = [MultiArrayDimension(size=one) for one in sizes]
-        self.world.send_jacobian(message)
+        self.send_jacobian(message)
 
     @rule(data=st.one_of(vector(8 * (MOST_JOINTS + 1), 3.0), st.lists(NUMBER, max_size=49)))
     def odd_chain(self, data):
         """Send any chain, or what is none."""
-        self.world.send_chain(Float64MultiArray(data=data[: 8 * (self.world.joints.size + 1)]))
+        self.send_chain(Float64MultiArray(data=data[: 8 * (self.joints.size + 1)]))
 
     @rule(key=WORDS, value=WORDS, message=WORDS)
     def odd_status(self, key, value, message):
         """Let the estimator say anything."""
         pairs = [KeyValue(key=key, value=value), KeyValue(key="state", value="WAITING")]
-        self.world.node._on_estimator_status(DiagnosticStatus(values=pairs, message=message))
+        self.node._on_estimator_status(DiagnosticStatus(values=pairs, message=message))
 
     @rule(
         velocity=st.lists(NUMBER, max_size=MOST_JOINTS), sliding=st.lists(NUMBER, max_size=N_AXES)
@@ -394,9 +386,9 @@ class Machine(RuleBasedStateMachine):
         """Let the law answer anything, or fail."""
         answer = ControlOutput(np.array(velocity), np.array(sliding), np.ones(N_AXES))
         error = None if velocity else ZeroDivisionError("a law's own mistake")
-        law = type(self.world.node._loop.law)
+        law = type(self.node._loop.law)
         with mock.patch.object(law, "command", side_effect=error, return_value=answer):
-            self.world.run(3)
+            self.run(3)
 
 
 # ---- the campaign ---------------------------------------------------------------------------
@@ -410,10 +402,9 @@ def play(seed, ticks=CHUNK_TICKS, settings=SETTINGS):
     class Counted(Machine):
         def teardown(self):
             super().teardown()
-            if hasattr(self, "world"):
-                counts.update(self.world.reasons)
-                played = self.world.reasons.total()
-                counts.update(episodes=1, ticks=played, moving=self.world.moving_ticks)
+            if hasattr(self, "node"):
+                counts.update(self.reasons)
+                counts.update(episodes=1, ticks=self.reasons.total(), moving=self.moving_ticks)
 
     while counts["ticks"] < ticks:
         try:

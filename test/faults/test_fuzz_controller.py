@@ -41,7 +41,7 @@ def test_nothing_but_a_start_starts_it(monkeypatch):
 def test_every_reason_is_met():
     met = set()
     for script in SCRIPTS.values():
-        met |= set(bench_mutants.play(script).world.reasons)
+        met |= set(bench_mutants.play(script).reasons)
     assert met == {reason.name for reason in Reason}
 
 
@@ -62,7 +62,7 @@ def test_every_row_of_the_safety_table_is_promised():
 
 
 #: The ball is silent, and the arm on its ramp to rest.
-ON_ITS_RAMP = [do("work"), do("silence", [BALL], ticks=32)]
+ON_ITS_RAMP = [do("work"), do("wait", 32, silent=[BALL])]
 
 
 @each(
@@ -86,7 +86,7 @@ ON_ITS_RAMP = [do("work"), do("silence", [BALL], ticks=32)]
     ],
 )
 def test_what_stops_at_once_does_also_in_another_trouble(script, reason):
-    world = bench_mutants.play([*script, do("wait", 5)]).world
+    world = bench_mutants.play([*script, do("wait", 5)])
     assert world.reasons[reason]
     assert not world.last.any()
 
@@ -94,31 +94,29 @@ def test_what_stops_at_once_does_also_in_another_trouble(script, reason):
 def test_a_limit_that_is_lowered_in_motion_is_reached_by_braking_with_all_it_has():
     machine = Machine()
     machine.begin()
-    world = machine.world
-    machine.work(0.5 * np.sign(world.home_rad) + 0.3, ticks=40)
-    fastest = np.abs(world.last).max()
+    machine.work(0.5 * np.sign(machine.home_rad) + 0.3, ticks=40)
+    fastest = np.abs(machine.last).max()
     assert fastest > 0.5
     machine.change({"max_joint_velocity_rad_s": 0.05})
-    world.run(int(np.ceil((fastest - 0.05) / (6.0 * 0.008))))
-    assert np.abs(world.last).max() <= 0.05
+    machine.run(int(np.ceil((fastest - 0.05) / (6.0 * 0.008))))
+    assert np.abs(machine.last).max() <= 0.05
 
 
 def test_a_jump_that_is_stamped_ahead_stops_the_arm_and_is_forgotten():
     machine = Machine()
     machine.begin(at_work=True)
-    ahead = machine.world.joints + np.eye(6)[5]
-    machine.world.send_joints(ahead, machine.world.ros_s + 0.05)
-    assert not machine.world.last.any()
+    ahead = machine.joints + np.eye(6)[5]
+    machine.send_joints(ahead, machine.ros_s + 0.05)
+    assert not machine.last.any()
     machine.wait(10)
-    assert machine.world.last.any()
+    assert machine.last.any()
 
 
 def test_joint_states_of_another_arm_lead_away_no_position_that_is_held():
-    machine = Machine()
-    machine.begin(interface=POSITION, at_work=True)
-    world = machine.world
-    machine.odd_ball({0: np.nan})
-    machine.silence([BALL], ticks=20)
+    world = Machine()
+    world.begin(interface=POSITION, at_work=True)
+    world.odd_ball({0: np.nan})
+    world.run(20, silent=[BALL])
     held = world.goes_to
     for of_another in np.repeat([True, False] * 30, 2):
         world.ros_s += 0.004
