@@ -15,6 +15,7 @@ import numpy as np
 from harness import Harness, ros_arguments
 
 from bench.timing import spread
+from fvs_ros import topics
 
 SECONDS, RATE_HZ, FAST_HZ, ROUNDS, ARM = 8.0, 125.0, 1000.0, 3, "arm"
 
@@ -43,7 +44,8 @@ def bare(*executor):
     """A node that answers each joint state with a command, by ``spin`` or another executor."""
 
     def start(harness):
-        return [harness.start("bench.answer_node", ARM, *executor)]
+        names = (f"{ARM}/{topic.name}" for topic in (topics.JOINT_STATES, topics.COMMANDS))
+        return [harness.start("bench.bare_node", *names, *executor)]
 
     return start
 

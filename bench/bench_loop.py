@@ -43,8 +43,8 @@ def rounds(harness, send, received):
 
 def bare_loop(folder):
     with closing(Harness(folder)) as harness:
-        harness.start("bench.relay_node", "bench_a", "bench_b")
-        harness.start("bench.relay_node", "bench_b", "bench_c")
+        harness.start("bench.bare_node", "bench_a", "bench_b")
+        harness.start("bench.bare_node", "bench_b", "bench_c")
         received = []
         harness.node.create_subscription(
             Float64MultiArray, "bench_c", lambda _m: received.append(time.monotonic()), 1

@@ -1,6 +1,6 @@
-"""A bare node that answers every joint state with a command: what rclpy itself costs.
+"""A bare node that answers every message with a command: what rclpy itself costs.
 
-``python -m bench.answer_node NAMESPACE [events]``: on wait sets, or on the events executor.
+``python -m bench.bare_node HEARD ANSWERED [events]``: on wait sets, or on the events executor.
 """
 
 from __future__ import annotations
@@ -17,17 +17,13 @@ from std_msgs.msg import Float64MultiArray
 from fvs_ros import ros, topics
 
 
-def main(namespace, executor=""):
+def main(heard, answered, executor=""):
     rclpy.init()
-    node = rclpy.create_node("answer", namespace=namespace)
-    publisher = node.create_publisher(Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE)
+    node = rclpy.create_node("bare")
+    publisher = node.create_publisher(Float64MultiArray, answered, ros.QOS_RELIABLE)
     command = Float64MultiArray(data=[1e-3] * 6)
-    node.create_subscription(
-        JointState,
-        topics.JOINT_STATES.name,
-        lambda _message: publisher.publish(command),
-        ros.QOS_NEWEST,
-    )
+    kind = JointState if heard.endswith(topics.JOINT_STATES.name) else Float64MultiArray
+    node.create_subscription(kind, heard, lambda _: publisher.publish(command), ros.QOS_NEWEST)
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
         if executor:
             events = EventsExecutor()
