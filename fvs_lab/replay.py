@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from math import inf
 from pathlib import Path
@@ -34,8 +33,8 @@ from fvs_tools.score import SETTLED_ERROR_M, TargetScore, judge, largest_part_m
 COMMAND = "fvs_experiments replay"
 #: A stamp further than this from the arrival, s, is by another clock, or of a latched message.
 _OWN_CLOCK_S = 5.0
-#: The status shows a target at most so long after it came, s, and so exactly, m.
-_SHOWN_S, _SHOWN_M = 0.25, 0.001
+#: A status shows the target so exactly, m.
+_SHOWN_M = 0.001
 _COLOURS = {
     State.WAITING.name: "#bbbbbb",
     State.READY.name: "#9ecae1",
@@ -221,29 +220,21 @@ def targets(recording: Recording) -> list[Target]:
     steps_m = [recording.kind.minus(z, before) for before, z in pairwise(series.values)]
     steps = zip(steps_m, np.diff(series.time_s), strict=True)
     starts = [0, *(i for i, step in enumerate(steps, 1) if not continues(*step))]
-    runs = [Series(series.time_s[i:j], series.values[i:j]) for i, j in pairwise([*starts, None])]
-    judged = []
-    end_s = next_s = inf
-    for run in reversed(runs):
-        start_s = run.time_s[0]
-        statuses = [status for status in recording.statuses if start_s <= status.time_s < end_s]
-        shown = [
-            _shows(status, run)
-            for status in statuses
-            if start_s + _SHOWN_S <= status.time_s < next_s and status.target_m is not None
-        ]
-        next_s = start_s
-        if shown and not any(shown):
+    judged, end_s = [], inf
+    for i, j in reversed(list(pairwise([*starts, None]))):
+        run = Series(series.time_s[i:j], series.values[i:j])
+        statuses = [one for one in recording.statuses if run.time_s[0] <= one.time_s < end_s]
+        if statuses and not any(_shows(status, run) for status in statuses):
             continue  # the controller refused it
         judged.append(_judged(recording, run, statuses, end_s))
-        end_s = start_s
+        end_s = run.time_s[0]
     return judged[::-1]
 
 
 def _shows(status: Status, run: Series) -> bool:
-    """Whether a status is of this target; a moving one is not compared."""
+    """Whether a status may be of this target; a moving one is not compared."""
     if status.target_m is None or len(run.time_s) > 1:
-        return len(run.time_s) > 1
+        return True
     return bool(np.abs(status.target_m - run.values[0, :3]).max() < _SHOWN_M)
 
 
@@ -270,18 +261,7 @@ def _judged(recording: Recording, run: Series, statuses: Sequence[Status], end_s
     return Target(start_s, time_s, largest_part_m(kind, errors_m), score, reason)
 
 
-# ---- table and figure -----------------------------------------------------------------------
-
-
-def write_table(path: Path, recording: Recording, judged: Sequence[Target]) -> None:
-    """Write a line per target as CSV, in SI units; a settling time is empty if never reached."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        names = ["target", "set_s", *TargetScore.__dataclass_fields__, "reason"]
-        writer = csv.DictWriter(file, names)
-        writer.writeheader()
-        for number, target in enumerate(judged, start=1):
-            when = {"target": number, "set_s": target.set_s - recording.start_s}
-            writer.writerow({**when, **asdict(target.score), "reason": target.reason})
+# ---- the figure -----------------------------------------------------------------------
 
 
 def draw(path: Path, recording: Recording, judged: Sequence[Target]) -> None:
@@ -346,7 +326,6 @@ def main(argv: list[str]) -> int:
     judged = targets(recording)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_table(out / "targets.csv", recording, judged)
         draw(out / "replay.png", recording, judged)
     except OSError as error:
         return _refuse(f"cannot write to {out}: {error.strerror}; name another folder by --out")

@@ -1,6 +1,5 @@
 """What a replay says of recordings in which everything is known."""
 
-import csv
 import re
 from pathlib import Path
 
@@ -38,14 +37,13 @@ BELOW_5_S, BELOW_2_S = np.log(60) / DECAY_1_S, np.log(150) / DECAY_1_S
 
 @pytest.fixture
 def replayed(tmp_path, capsys):
-    """Replays a bag; the lines of its table, as mappings, and what was printed."""
+    """Replays a bag; the lines of its table."""
 
     def replay(bag, *arguments):
         out = tmp_path / "out"
         assert main(["replay", str(bag), "--out", str(out), *arguments]) == 0
         assert (out / "replay.png").stat().st_size > 10_000
-        with (out / "targets.csv").open() as file:
-            return list(csv.DictReader(file)), capsys.readouterr().out
+        return capsys.readouterr().out.splitlines()[1:-1]
 
     return replay
 
@@ -62,15 +60,13 @@ def targets_in(folder, messages, **notes):
 
 
 def test_a_target_is_judged_by_the_true_ball(tmp_path, replayed):
-    (row,), printed = replayed(write_bag(tmp_path / "bag", servo()))
-    assert float(row["set_s"]) == pytest.approx(GIVEN_S, abs=0.002)
-    assert float(row["start_distance_m"]) == pytest.approx(0.3)
-    assert BELOW_5_S <= float(row["settling_5mm_s"]) < BELOW_5_S + 0.0081
-    assert BELOW_2_S <= float(row["settling_2mm_s"]) < BELOW_2_S + 0.0081
-    assert float(row["final_rms_m"]) < 1e-5
-    assert float(row["peak_joint_speed_rad_s"]) == pytest.approx(2.4, rel=0.04)
-    assert row["reason"] == "SETTLED"
-    assert "300 mm     1.02 s     1.26 s    0.00 mm        2.40 rad/s  set at 1.0 s, S" in printed
+    (row,) = replayed(write_bag(tmp_path / "bag", servo()))
+    assert row.endswith(
+        "300 mm     1.02 s     1.26 s    0.00 mm        2.40 rad/s  set at 1.0 s, SETTLED"
+    )
+    ((*_, score, _),) = targets(read(tmp_path / "bag"))
+    assert BELOW_5_S <= score.settling_5mm_s < BELOW_5_S + 0.0081
+    assert BELOW_2_S <= score.settling_2mm_s < BELOW_2_S + 0.0081
 
 
 def test_a_repeated_target_is_the_same_a_new_one_another_and_a_moving_one_is_one(tmp_path):
@@ -106,20 +102,17 @@ def test_the_controller_s_status_shows_which_target_it_has(tmp_path, passed_s):
         ([("WAITING", "MISSING"), ("WAITING", "MISSING")], "MISSING", 5.0),
     ],
 )
-def test_what_ended_a_target_is_said(tmp_path, replayed, states, reason, end_s):
+def test_what_ended_a_target_is_said(tmp_path, states, reason, end_s):
     shown = [status(t, *states[int(t >= 3.0)], TARGET_M) for t in np.arange(GIVEN_S, END_S, 0.1)]
-    bag = write_bag(tmp_path / "bag", [*without_statuses(servo()), *shown])
-    (target,) = targets(read(bag))
+    (target,) = targets_in(tmp_path / "bag", [*without_statuses(servo()), *shown])
     assert target.reason == reason
     assert target.time_s[-1] - target.set_s == pytest.approx(end_s - GIVEN_S, abs=0.11)
-    assert replayed(bag)[0][0]["reason"] == reason
 
 
 def test_what_the_bag_lacks_is_not_judged(tmp_path, replayed):
     messages = [sent for sent in servo() if not re.search("ball|joint", sent.topic)]
-    (row,), _ = replayed(write_bag(tmp_path / "bag", messages))
-    assert row["settling_5mm_s"] == ""
-    assert {row[name] for name in ("start_distance_m", "peak_joint_speed_rad_s")} == {"nan"}
+    (row,) = replayed(write_bag(tmp_path / "bag", messages))
+    assert re.fullmatch(r"\s*1\s+nan mm\s+never\s+never\s+nan mm\s+nan rad/s.*", row)
 
 
 @pytest.mark.parametrize("noted", [True, False])
@@ -136,11 +129,12 @@ def test_poses_and_position_commands_are_judged_as_well(tmp_path, replayed, note
     parameters = {"feature": "pose", "lever_arm_m": 0.3, "command_interface": "position"}
     scenario = {"/**/fvs_controller_node": {"ros__parameters": parameters}}
     bag = write_bag(tmp_path / "bag", messages, **({"scenario": scenario} if noted else {}))
-    (row,), _ = replayed(bag)
-    assert float(row["start_distance_m"]) == pytest.approx(0.3, rel=0.02)
-    assert BELOW_5_S <= float(row["settling_5mm_s"]) < BELOW_5_S + 0.041
+    assert len(replayed(bag)) == 1
+    ((*_, score, _),) = targets(read(bag))
+    assert score.start_distance_m == pytest.approx(0.3, rel=0.02)
+    assert BELOW_5_S <= score.settling_5mm_s < BELOW_5_S + 0.041
     rest_rad = 0.4 * distance_m(END_S - 1.04) / 0.3 / np.sqrt(2.0 * DECAY_1_S)
-    assert float(row["final_rms_deg"]) == pytest.approx(np.degrees(rest_rad), rel=0.1)
+    assert score.final_rms_deg == pytest.approx(np.degrees(rest_rad), rel=0.1)
     assert read(bag).series["positions"].values.shape[1] == 6
 
 
@@ -179,7 +173,7 @@ def test_a_robot_is_chosen_by_its_namespace(tmp_path, replayed, capsys):
     bag = write_bag(tmp_path / "bag", robots)
     assert main(["replay", str(bag)]) == 2
     assert "name one by --namespace: '/left', '/right'" in capsys.readouterr().err
-    assert len(replayed(bag, "--namespace", "/left")[0]) == 1
+    assert len(replayed(bag, "--namespace", "/left")) == 1
 
 
 @each("tail", [b"", bytes(5000)])
@@ -191,18 +185,17 @@ def test_a_file_that_ends_anywhere_is_read_up_to_there(tmp_path_factory, capsys,
     file = file_in(folder / "bag")
     content = file.read_bytes()
     ends_s = []
-    for size in np.linspace(0.4 * len(content), len(content) - 1, 4).astype(int):
-        file.write_bytes(content[:size] + tail)
-        assert read(file).cut_off
-        ends_s.append(read(file).end_s)
-    assert ends_s == sorted(ends_s)
-    assert ends_s[-1] - ends_s[0] > 1.0
+    for share in (0.4, 0.7, 0.999):
+        file.write_bytes(content[: int(share * len(content))] + tail)
+        recording = read(file)
+        assert recording.cut_off
+        ends_s.append(recording.end_s)
+    assert ends_s[0] + 1.0 < ends_s[1] < ends_s[2]
     assert main(["replay", str(file), "--out", str(folder / "out")]) == 0
     assert capsys.readouterr().out.startswith("The bag was cut off")
-    for size in (8, 20, 100):
-        file.write_bytes(content[:size] + tail)
-        with pytest.raises(ValueError, match="cut off before any message"):
-            read(file)
+    file.write_bytes(content[:100] + tail)
+    with pytest.raises(ValueError, match="cut off before any message"):
+        read(file)
 
 
 @pytest.mark.parametrize(
