@@ -101,6 +101,6 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 
 
 TABLES = (
-    lab.TableOf("changes", ("change",), ("to_5mm_s:half", "jitter_rad_s:half", "failure:causes")),
+    lab.Table("changes", ("change",), ("to_5mm_s:half", "jitter_rad_s:half", "failure:causes")),
 )
 EXPERIMENT = lab.Experiment("ablation", measure, claims, TABLES, globals())

@@ -106,11 +106,11 @@ def servo(task: tuple[str, int, float]) -> list[dict[str, Any]]:
     for number, pair in enumerate(islice(pairs, count)):
         case = Case(f"{arm} {number + 1}", *pair, number)
         (trial,) = crossed([variant], [case])
-        outcome = drive(trial, simulation)
+        run = drive(trial, simulation)
         start, goal = (tuple(joints / limits.share) for joints in pair)
         in_units = replace(case, start_rad=start, goal_rad=goal)
         floor_s = fastest(in_units, equal, SETTLED_ERROR_M, kinematics).time_s
-        rows.append(outcome.row(**trial.labels, over_5mm=outcome.to_5mm_s / floor_s))
+        rows.append({**run, "over_5mm": run["to_5mm_s"] / floor_s})
     return rows
 
 
@@ -138,7 +138,7 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 
 
 TABLES = (
-    lab.TableOf(
+    lab.Table(
         "arms",
         ("arm", "joints"),
         ("learned:half", "settled:of", "over_5mm"),

@@ -224,20 +224,20 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 
 
 TABLES = (
-    lab.TableOf(
+    lab.Table(
         "races",
         ("scheme",),
         ("over_5mm", "jitter_rad_s:half", "settled:of"),
         {"part": "race"},
     ),
-    lab.TableOf(
+    lab.Table(
         "camera",
         ("moment",),
         ("over_undisturbed:half", "kept:of"),
         {"part": "camera"},
         across="scheme",
     ),
-    lab.TableOf(
+    lab.Table(
         "tracking",
         ("speed_m_s", "feed_forward"),
         ("rms_m:half",),

@@ -76,7 +76,7 @@ def _row(scheme: str, zeros_deg: float, error: np.ndarray, **columns: Any) -> di
 def by_motion(task: tuple[int, str, float]) -> list[dict[str, Any]]:
     """Collect as the collector does for a time, s, and calibrate: a row for each size of zeros."""
     seed, feature, duration_s = task
-    simulation = simulation_of(Conditions(feature, position_noise_m=0.0))
+    simulation = simulation_of(Conditions(feature=feature, position_noise_m=0.0))
     config = CollectorConfig(
         duration_s=duration_s,
         seed=seed,
@@ -98,7 +98,7 @@ def by_motion(task: tuple[int, str, float]) -> list[dict[str, Any]]:
 
 def by_solvers(seed: int) -> list[dict[str, Any]]:
     """Teach poses before a rendered board, and give them to OpenCV's solvers."""
-    simulation = simulation_of(Conditions(Pose.name, position_noise_m=0.0, tag=BOARD))
+    simulation = simulation_of(Conditions(feature=Pose.name, position_noise_m=0.0, tag=BOARD))
     rng = np.random.default_rng([seed, 8])
     joints: list[np.ndarray] = []
     boards: list[tuple[np.ndarray, np.ndarray]] = []
@@ -186,7 +186,7 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 
 
 TABLES = (
-    lab.TableOf(
+    lab.Table(
         "schemes",
         ("scheme",),
         (

@@ -129,54 +129,43 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
     )
 
 
-@dataclass(frozen=True)
-class Score:
-    """How well one estimator did along the scored motion: n steps, shape (n,) each."""
-
-    #: End of each step since the scored motion began, s.
-    time_s: np.ndarray
-    #: T1 = |dx - J dr|, eq (40): dx true, J before it learned from the step, m.
-    t1_m: np.ndarray
-    #: T2 = |x - x_hat|, eqs (41) and (42): x_hat is summed up of the predictions J dr, m.
-    t2_m: np.ndarray
-    #: |J - J_true| / |J_true|, Frobenius norms.
-    jacobian_error: np.ndarray
-    #: J, m/rad, shape (n, m, joints).
-    jacobian: np.ndarray
-
-    def row(self, duration_s: float) -> dict[str, Any]:
-        """The run in a few numbers by name, and as series of means over half a second."""
-        from scipy.stats import binned_statistic
-
-        edges_s = np.linspace(0.0, duration_s, round(2.0 * duration_s) + 1)
-        t1_m, t2_m = binned_statistic(self.time_s, [self.t1_m, self.t2_m], bins=edges_s).statistic
-        return {
-            "t1_m": float(self.t1_m.mean()),
-            "t2_max_m": float(self.t2_m.max()),
-            "jacobian_error": float(self.jacobian_error.mean()),
-            "series": {
-                "time_s": 0.5 * (edges_s[1:] + edges_s[:-1]), "t1_m": t1_m, "t2_m": t2_m
-            },
-        }  # fmt: skip
-
-
-def judge(estimator: Estimator, recording: Recording, hears_prelude: bool) -> Score:
-    """Let a fresh estimator predict, and then learn from, each step of a recording.
+def jacobians_of(
+    estimator: Estimator, recording: Recording, hears_prelude: bool = True
+) -> np.ndarray:
+    """Jacobians of an estimator, m/rad, (n, m, joints), before it learns from each scored step.
 
     ``hears_prelude``: whether it also learns from the steps before the scored motion.
     """
-    scored = recording.time_s > 0.0
     jacobians = []
-    for step, counts in zip(recording.steps, scored, strict=True):
-        if counts:
+    for step, time_s in zip(recording.steps, recording.time_s, strict=True):
+        if time_s > 0.0:
             jacobians.append(estimator.jacobian(step.joints_rad, step.z))
-        if estimator.learns and (counts or hears_prelude):
+        if estimator.learns and (time_s > 0.0 or hears_prelude):
             estimator.update(step)
-    jacobian, true_m = np.array(jacobians), recording.true_d_ball_m[scored]
+    return np.array(jacobians)
+
+
+def score(recording: Recording, jacobian: np.ndarray, duration_s: float) -> dict[str, Any]:
+    """Columns of an estimator, and series of means over half a second.
+
+    T1 = |dx - J dr|, eq (40), with the true dx; T2 = |x - x_hat|, eqs (41) and (42), where x_hat is
+    summed up of the predictions J dr; and the relative error of the Jacobian.
+    """
+    from scipy.stats import binned_statistic
+
+    scored = recording.time_s > 0.0
     moved_rad = np.array([step.d_joints_rad for step in recording.steps])[scored]
-    t1_m, t2_m = criteria(true_m - np.einsum("nij,nj->ni", jacobian, moved_rad))
-    errors = relative_errors(jacobian, recording.true_jacobian[scored])
-    return Score(recording.time_s[scored], t1_m, t2_m, errors, jacobian)
+    predicted_m = np.einsum("nij,nj->ni", jacobian, moved_rad)
+    criteria_m = criteria(recording.true_d_ball_m[scored] - predicted_m)
+    edges_s = np.linspace(0.0, duration_s, round(2.0 * duration_s) + 1)
+    means = binned_statistic(recording.time_s[scored], criteria_m, bins=edges_s).statistic
+    series = dict(zip(("t1_m", "t2_m"), means, strict=True))
+    return {
+        "t1_m": float(criteria_m[0].mean()),
+        "t2_max_m": float(criteria_m[1].max()),
+        "jacobian_error": float(relative_errors(jacobian, recording.true_jacobian[scored]).mean()),
+        "series": {"time_s": 0.5 * (edges_s[1:] + edges_s[:-1]), **series},
+    }
 
 
 def judge_all(job: tuple[str, Conditions, int, float]) -> list[dict[str, Any]]:
@@ -191,12 +180,13 @@ def judge_all(job: tuple[str, Conditions, int, float]) -> list[dict[str, Any]]:
     for contestant in ESTIMATORS:
         name, method = contestant.name, contestant.method
         estimator = make_estimator(method, simulation_of(conditions), contestant.values)
-        score = judge(estimator, recording, contestant.hears_prelude)
-        row = {"world": world, "estimator": name, "case": seed, **score.row(duration_s)}
-        jacobians[name] = score.jacobian
+        jacobian = jacobians_of(estimator, recording, contestant.hears_prelude)
+        columns = score(recording, jacobian, duration_s)
+        row = {"world": world, "estimator": name, "case": seed, **columns}
+        jacobians[name] = jacobian
         if method == "ukf":
             twin = jacobians[name.replace("UKF", "LKF")]
-            row["lkf_difference_m_rad"] = float(np.abs(score.jacobian - twin).max())
+            row["lkf_difference_m_rad"] = float(np.abs(jacobian - twin).max())
         rows.append(row)
     return rows
 
@@ -267,7 +257,7 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 
 
 TABLES = (
-    lab.TableOf("criteria", ("estimator",), ("t1_m:half", "jacobian_error:half"), across="world"),
+    lab.Table("criteria", ("estimator",), ("t1_m:half", "jacobian_error:half"), across="world"),
 )
 
 

@@ -11,14 +11,13 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from fvs_lab.figures import save
-from fvs_lab.outcome import Outcome
 from fvs_lab.report import Words
-from fvs_lab.results import Interval, Results, table
+from fvs_lab.results import Interval, Results, Table
 from fvs_lab.trials import Trial, run_trial
 from fvs_ros.kinds.ball import Ball
 
@@ -74,28 +73,15 @@ class Context:
         done = parallel(delayed(function)(item) for item in items)
         return list(tqdm(done, desc=label, total=len(items), leave=False, disable=None))
 
-    def outcomes(self, trials: Iterable[Trial], label: str) -> list[Outcome]:
-        """Run trials; those of a quick run take 0.2 s, and compute faster."""
+    def run(self, trials: Iterable[Trial], label: str) -> Results:
+        """Run trials, a row each; those of a quick run take 0.2 s, and compute faster."""
         if self.quick:
             faster = {"rendered": False, "physics_rate_hz": 125.0}
             trials = [
                 trial.changed(conditions=faster, duration_s=min(trial.duration_s, 0.2))
                 for trial in trials
             ]
-        return self.map(run_trial, trials, label)
-
-    def run(
-        self,
-        trials: Iterable[Trial],
-        label: str,
-        measure: Callable[[Outcome], Mapping[str, Any]] = lambda _: {},
-    ) -> Results:
-        """Run trials: a row each, with further columns by ``measure``."""
-        trials = list(trials)
-        return Results(
-            outcome.row(**trial.labels) | dict(measure(outcome))
-            for trial, outcome in zip(trials, self.outcomes(trials, label), strict=True)
-        )
+        return Results(self.map(run_trial, trials, label))
 
 
 # ---- what is claimed ------------------------------------------------------------------------
@@ -151,9 +137,9 @@ class Claim:
 
     name: str
     parts: Sequence[Part]
-    of_paper: bool = False
+    whose: str = "ours"
     any_of: bool = False
-    arguments: Mapping[str, Any] | None = None
+    arguments: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def holds(self) -> bool | None:
@@ -173,44 +159,23 @@ class Claim:
         """Its row on the page."""
         return {
             "word": {True: "holds", False: "does not hold", None: "undecided"}[self.holds],
-            "claim": words(f"claim_{self.name}", **(self.arguments or {})),
+            "claim": words(f"claim_{self.name}", **self.arguments),
             "finding": f"{self.decisive.label}: {self.decisive.measured}",
-            "whose": "paper" if self.of_paper else "ours",
+            "whose": self.whose,
         }
 
 
 def ours(name: str, *parts: Part, any_of: bool = False, **arguments: Any) -> Claim:
     """A claim of this project."""
-    return Claim(name, parts, False, any_of, arguments)
+    return Claim(name, parts, "ours", any_of, arguments)
 
 
 def papers(name: str, *parts: Part, any_of: bool = False, **arguments: Any) -> Claim:
     """A claim of the paper."""
-    return Claim(name, parts, True, any_of, arguments)
+    return Claim(name, parts, "paper", any_of, arguments)
 
 
 # ---- what is shown --------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class TableOf:
-    """Declaration of a table: the columns that group its rows, and those to summarise.
-
-    See :func:`table`.
-    """
-
-    #: Its caption is the template's macro ``table_NAME``.
-    name: str
-    by: Sequence[str]
-    columns: Sequence[str]
-    #: Rows of the tidy table with these values.
-    where: Mapping[str, Any] | None = None
-    #: A column whose values stand side by side.
-    across: str = ""
-
-    def of(self, runs: Results) -> list[dict[str, str]]:
-        """The table's rows of these runs."""
-        return table(runs.where(**(self.where or {})), self.by, self.columns, self.across)
 
 
 #: A figure by the name of its macro, with the macro's arguments.
@@ -221,37 +186,35 @@ Drawn = tuple[str, Any, Mapping[str, Any]]
 class Experiment:
     """An experiment: its tidy table, and what is claimed and shown of it."""
 
-    #: Of its module, its template and its folder.
+    #: Of its folder.
     name: str
     measure: Callable[[Context], Results]
     claims: Callable[[Results], Iterable[Claim]]
-    tables: Sequence[TableOf]
-    #: The module's names, which are variables of the template beside the ``runs``.
+    tables: Sequence[Table]
+    #: The module's names: that of the template, and its variables beside the ``runs``.
     names: Mapping[str, Any]
     figures: Callable[[Results], Iterable[Drawn]] = lambda _: ()
-    #: Name of the template; by default the experiment's.
-    template: str = ""
     #: The shipped model that it uses; empty for none.
     model: str = Ball.model
 
     def run(self, context: Context) -> dict[str, Any]:
         """Measure, judge, tabulate and draw: a report for :func:`fvs_lab.report.write_report`."""
         runs = self.measure(context)
-        words = Words(self.template or self.name, {**self.names, "runs": runs})
+        words = Words({**self.names, "runs": runs})
         figures = []
         for name, drawing, arguments in self.figures(runs):
             file = re.sub(r"\W+", "_", "_".join([name, *map(str, arguments.values())])) + ".png"
             save(drawing, context.folder(self.name) / file)
             figures.append({"file": file, "caption": words(f"figure_{name}", **arguments)})
         tables = [
-            {"caption": words(f"table_{table.name}"), "rows": table.of(runs)}
+            {"caption": words(f"table_{table.name}"), "rows": table.rows(runs)}
             for table in self.tables
         ]
         return {
             "name": self.name,
             "title": words("title"),
             "question": words("question"),
-            "setup": words.paragraphs("setup"),
+            "setup": words("setup"),
             "figures": figures,
             "tables": [table for table in tables if table["rows"]],
             "verdicts": [claim.verdict(words) for claim in self.claims(runs) if claim.parts],

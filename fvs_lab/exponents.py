@@ -16,7 +16,6 @@ import numpy as np
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.contestants import FREE
-from fvs_lab.outcome import Outcome
 from fvs_lab.results import Results, label_of, number_text
 from fvs_lab.trials import Trial, crossed, make_cases
 
@@ -54,19 +53,18 @@ def variants() -> Iterator[Trial]:
             )
 
 
-def _pace(outcome: Outcome) -> dict[str, float]:
+def _pace(row: Mapping[str, Any]) -> dict[str, float]:
     """Settling time over the time that the way takes at the run's own top joint speed."""
-    time_s = outcome.series["time_s"]
-    moving = time_s <= outcome.to_5mm_s
-    speeds = np.abs(outcome.series["command_rad_s"][moving])
+    time_s = row["series"]["time_s"]
+    speeds = np.abs(row["series"]["command_rad_s"][time_s <= row["to_5mm_s"]])
     travel_rad = float(speeds.sum(axis=0).max() * time_s[0])
-    return {"pace": outcome.to_5mm_s * float(speeds.max()) / travel_rad}
+    return {"pace": row["to_5mm_s"] * float(speeds.max()) / travel_rad}
 
 
 def measure(context: lab.Context) -> Results:
     """Run both forms of the law with all exponents, with and without noise."""
     cases = make_cases("e", context.count(6), 301)
-    return context.run(crossed(variants(), cases), "exponents", _pace)
+    return context.run(crossed(variants(), cases), "exponents").adding(_pace)
 
 
 def claims(runs: Results) -> Iterator[lab.Claim]:
@@ -104,7 +102,7 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 
 
 TABLES = (
-    lab.TableOf("exponents", ("exponent",), ("to_5mm_s:half", "jitter_rad_s:half"), across="form"),
+    lab.Table("exponents", ("exponent",), ("to_5mm_s:half", "jitter_rad_s:half"), across="form"),
 )
 
 

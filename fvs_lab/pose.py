@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,6 @@ from fvs_estimator_node.base import Estimator
 from fvs_estimator_node.registry import create_estimator
 from fvs_lab import contestants as who
 from fvs_lab import experiment as lab
-from fvs_lab.outcome import Outcome
 from fvs_lab.results import Results
 from fvs_lab.trials import (
     Bump,
@@ -31,8 +32,8 @@ from fvs_sim_node.simulation import Simulation
 from fvs_tools.score import FINAL_S
 
 #: How the tag is seen; the noise of an exact camera is like that of rendered images, m.
-EXACT = Conditions(Pose.name, rendered=False, position_noise_m=3e-4)
-IMAGES = Conditions(Pose.name, position_noise_m=0.0)
+EXACT = Conditions(feature=Pose.name, rendered=False, position_noise_m=3e-4)
+IMAGES = Conditions(feature=Pose.name, position_noise_m=0.0)
 #: Schemes that are run with images, too.
 SEEN = ("best", "extended", "proposed")
 #: Bodies whose rest is measured, of which the last two fill an A4 page.
@@ -66,9 +67,9 @@ def floor_s(case: Case) -> float:
     return who.floor_s(case, simulation_of(EXACT).world.chain_with(Pose()))
 
 
-def rest(outcome: Outcome) -> dict[str, float]:
+def rest(row: Mapping[str, Any]) -> dict[str, float]:
     """Final errors of position, m, and angle, degrees, rms over the last second."""
-    kind, series, target_m = Pose(), outcome.series, np.array(outcome.target_m)
+    kind, series, target_m = Pose(), row["series"], np.array(row["target_m"])
     last = series["time_s"] > series["time_s"][-1] - FINAL_S
     parts = kind.parts_m(
         np.array([kind.minus(pose, target_m) for pose in series["feature_m"][last]])
@@ -80,7 +81,7 @@ def rest(outcome: Outcome) -> dict[str, float]:
 def at_rest(count: int) -> Iterator[Trial]:
     """Bodies before a camera 1 m away, until they rest."""
     for body, tag in BODIES.items():
-        near = Conditions(Pose.name, position_noise_m=0.0, camera_distance_m=1.0, tag=tag)
+        near = replace(IMAGES, camera_distance_m=1.0, tag=tag)
         cases = make_cases("D", count, 421, 0.05, 0.2, near)
         trial = calibrated(0.0, 0.0, near).changed({"part": "rest", "body": body}, record=True)
         yield from crossed([trial], cases)
@@ -95,13 +96,13 @@ def moved(cases: Sequence[Case]) -> Iterator[Trial]:
             bump = Bump(-0.4, along(axis, 20.0), along(direction, 0.1))
             if sees_all(EXACT, (case.start_rad, case.goal_rad), bump):
                 break
-        best = who.variant("best", EXACT, part="moved").changed(record=True, bump=bump)
+        best = who.variant("best", EXACT, part="moved").changed(bump=bump)
         yield from crossed([best], [case])
 
 
 def measure(context: lab.Context) -> Results:
     """Run every scheme with an exact camera, some with images, and calibrated cameras."""
-    cases = make_cases("P", context.count(60), 420, conditions=Conditions(Pose.name))
+    cases = make_cases("P", context.count(60), 420, conditions=Conditions(feature=Pose.name))
     floors_s = context.map(floor_s, cases, "the floor")
     floors = dict(zip([case.name for case in cases], floors_s, strict=True))
     schemes = (*SEEN, *(name for name in who.CONTESTANTS if name not in SEEN))
@@ -119,15 +120,15 @@ def measure(context: lab.Context) -> Results:
         camera = calibrated(off_deg, off_m, EXACT)
         variants.append(camera.changed({"camera": "exact", "scheme": name}))
     labelled = [trial.changed({"part": "schemes"}, record=True) for trial in variants]
-    runs = context.run(crossed(labelled, cases), "poses", rest).adding(
-        lambda row: {"over_5mm": row["to_5mm_s"] / floors[row["case"]]}
+    runs = context.run(crossed(labelled, cases), "poses").adding(
+        lambda row: {**rest(row), "over_5mm": row["to_5mm_s"] / floors[row["case"]]}
     )
     alone = runs.where(scheme="best", camera="exact").groups("case")
-    shaken = context.run(moved(cases), "moved cameras", rest).adding(
+    shaken = context.run(moved(cases), "moved cameras").adding(
         lambda row: {"over_undisturbed": row["to_5mm_s"] / alone[row["case"]].rows[0]["to_5mm_s"]}
     )
-    resting = () if context.quick else context.run(at_rest(max(1, len(cases) // 3)), "rest", rest)
-    return Results([*runs, *shaken, *resting])
+    bodies = () if context.quick else at_rest(max(1, len(cases) // 3))
+    return Results([*runs, *shaken, *context.run(bodies, "rest").adding(rest)])
 
 
 def claims(runs: Results) -> Iterator[lab.Claim]:
@@ -156,14 +157,12 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 
 
 TABLES = (
-    lab.TableOf(
+    lab.Table(
         "schemes",
         ("camera", "scheme"),
         ("over_5mm", "rest_m:half", "rest_deg:half", "settled:of"),
         {"part": "schemes"},
     ),
-    lab.TableOf(
-        "rest", ("body",), ("rest_m:half", "rest_deg:half", "settled:of"), {"part": "rest"}
-    ),
+    lab.Table("rest", ("body",), ("rest_m:half", "rest_deg:half", "settled:of"), {"part": "rest"}),
 )
 EXPERIMENT = lab.Experiment("pose", measure, claims, TABLES, globals(), model=Pose.model)

@@ -32,19 +32,16 @@ LONG = ("everyday", "tags", "robustness")
 
 
 class Words:
-    """The sentences of an experiment, from its template with its names as variables."""
+    """The sentences of an experiment: its module's template, whose variables are its names."""
 
-    def __init__(self, name: str, names: Mapping[str, Any]) -> None:
-        self._macros = _template(f"{name}.jinja").make_module(dict(names))
+    def __init__(self, names: Mapping[str, Any]) -> None:
+        module = names["__name__"].rpartition(".")[2]
+        self._macros = _template(f"{module}.jinja").make_module(dict(names))
 
     def __call__(self, macro: str, **arguments: Any) -> str:
-        """The text of a macro as one line."""
-        return " ".join(getattr(self._macros, macro)(**arguments).split())
-
-    def paragraphs(self, macro: str) -> list[str]:
-        """The text of a macro, a line for each paragraph."""
-        text = getattr(self._macros, macro)().strip()
-        return [" ".join(part.split()) for part in re.split(r"\n\s*\n", text)]
+        """The text of a macro; a paragraph is a line."""
+        text = getattr(self._macros, macro)(**arguments).strip()
+        return "\n\n".join(" ".join(part.split()) for part in re.split(r"\n\s*\n", text))
 
 
 def _template(name: str):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
@@ -214,8 +214,43 @@ def number_text(value: Any, digits: int | None = None) -> str:
     return f"{value:g}" if digits is None else f"{value:.{digits}f}"
 
 
+@dataclass(frozen=True)
+class Table:
+    """Declaration of a table: a row per group of runs with the same values in some columns.
+
+    Columns are summed up by their median with its interval, or by what stands after a colon:
+    ``half`` is the median alone, ``90 %`` and ``largest`` are runs, ``of`` counts those that are
+    true, ``causes`` counts each text. A cell is ``-`` where there is nothing.
+    """
+
+    #: Its caption is the template's macro ``table_NAME``.
+    name: str
+    by: Sequence[str]
+    columns: Sequence[str]
+    #: Rows of the tidy table with these values.
+    where: Mapping[str, Any] = field(default_factory=dict)
+    #: A column for whose values each of the others is summed up once, side by side.
+    across: str = ""
+
+    def rows(self, runs: Results) -> list[dict[str, str]]:
+        """The rows of these runs, by the headers of their columns."""
+        runs, rows = runs.where(**self.where), []
+        values = [*runs.groups(self.across)] if self.across else [None]
+        for group in runs.groups(*self.by).values():
+            row = {label_of(name): number_text(group.rows[0][name]) for name in self.by}
+            for value, column in product(values, self.columns):
+                name, _, how = column.partition(":")
+                header = label_of(name) + (f", {how}" if how in ("90 %", "largest") else "")
+                if self.across:
+                    header = f"{value}: {header}" if len(self.columns) > 1 else str(value)
+                cell = group.where(**{self.across: value}) if self.across else group
+                row[header] = _cell(cell, name, how)
+            rows.append(row)
+        return rows
+
+
 def _cell(runs: Results, name: str, how: str) -> str:
-    """A column of some runs in a cell; ``how`` is what :func:`table` takes after the colon."""
+    """A column of some runs in a cell; ``how`` is what stands after the colon."""
     metric, values = METRICS.get(name, Metric(name)), runs.values(name)
     if not values:
         return "-"
@@ -230,28 +265,3 @@ def _cell(runs: Results, name: str, how: str) -> str:
     part = {"90 %": 0.9, "largest": 1.0}.get(how)
     value = runs.median(name).value if part is None else np.quantile(values, part, method="higher")
     return number_text(metric.factor * float(value), metric.digits)
-
-
-def table(
-    runs: Results, by: Sequence[str], columns: Sequence[str], across: str = ""
-) -> list[dict[str, str]]:
-    """A row per group of runs with the same values in some columns.
-
-    Columns are summed up by their median with its interval, or by what stands after a colon:
-    ``half`` is the median alone, ``90 %`` and ``largest`` are runs, ``of`` counts those that are
-    true, ``causes`` counts each text. With ``across``, each is summed up once for each value of
-    that column, side by side. A cell is ``-`` where there is nothing.
-    """
-    rows = []
-    values = [*runs.groups(across)] if across else [None]
-    for key, group in runs.groups(*by).items():
-        keys = key if len(by) > 1 else (key,)
-        row = {label_of(name): number_text(value) for name, value in zip(by, keys, strict=True)}
-        for value, column in product(values, columns):
-            name, _, how = column.partition(":")
-            header = label_of(name) + (f", {how}" if how in ("90 %", "largest") else "")
-            if across:
-                header = f"{value}: {header}" if len(columns) > 1 else str(value)
-            row[header] = _cell(group.where(**{across: value}) if across else group, name, how)
-        rows.append(row)
-    return rows

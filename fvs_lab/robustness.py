@@ -55,16 +55,17 @@ class Worlds:
         bumped, heavy = rng.random() < self.bumped_share, rng.random() < self.heavy_share
         names = {item.name for item in fields(Conditions)}
         changes: dict[str, Any] = {name: amount[name] for name in amount if name in names}
+        changes["speed_scaling_percent"] = 100.0 * amount["drive_gain"]
         if not heavy:
             changes["noise_exponent"] = Conditions.noise_exponent
         while True:
             seed = int(rng.integers(2**31))
-            plain = Conditions(self.feature)
+            plain = Conditions(feature=self.feature)
             case = make_cases(f"R{number}-", 1, seed, *self.distance_m, plain)[0]
             vectors = ("camera_carried_deg", "bump_rotation_deg", "bump_shift_m")
             rotation_deg, *blow = (along(rng.normal(size=3), amount[name]) for name in vectors)
             bump = Bump(amount["bump_time_s"], *blow) if bumped else None
-            turned = Conditions(self.feature, camera_carried_deg=rotation_deg)
+            turned = Conditions(feature=self.feature, camera_carried_deg=rotation_deg)
             if sees_all(turned, (case.start_rad, case.goal_rad), bump):
                 # Images would change little, and take three times as long.
                 changes |= {"camera_carried_deg": rotation_deg, "rendered": False}
@@ -162,7 +163,7 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 
 
 TABLES = (
-    lab.TableOf(
+    lab.Table(
         "schemes",
         ("scheme",),
         ("settled:of", "to_5mm_s:half", "to_5mm_s:90 %", "final_rms_m:half", "failure:causes"),
@@ -174,9 +175,8 @@ EXPERIMENTS = {
         partial(measure, worlds),
         claims,
         TABLES,
-        {"kind": worlds},
+        {**globals(), "kind": worlds},
         model=kind_of(worlds.feature).model,
-        template="robustness",
     )
     for worlds in (EVERYDAY, HARSH, replace(EVERYDAY, name="tags", seed=306, feature=Pose.name))
 }

@@ -15,7 +15,6 @@ import numpy as np
 
 from fvs_lab.contestants import EXACT
 from fvs_lab.experiment import Context
-from fvs_lab.outcome import Outcome
 from fvs_lab.trials import Case, Trial, crossed
 from fvs_tools.schemes import Scheme
 
@@ -111,7 +110,7 @@ class Search:
         )
         return crossed([coarse], cases)
 
-    def cost(self, outcomes: Sequence[Outcome]) -> float:
+    def cost(self, runs: Sequence[Mapping[str, Any]]) -> float:
         """The search's objective, s: the mean settling time, and a penalty beyond the limit.
 
         Mostly to 5 mm, with a small share of that to 2 mm. A run that did not settle costs its
@@ -119,12 +118,12 @@ class Search:
         costs two seconds, more than any gain can save.
         """
         times_s, duration_s = [], self.terms.duration_s
-        for run in outcomes:
-            left = min(1.0, run.final_rms_m / run.start_distance_m)
-            coarse_s = duration_s * (1.0 + left) if run.failure else run.to_5mm_s
-            times_s.append(0.9 * coarse_s + 0.1 * min(duration_s, run.to_2mm_s))
+        for run in runs:
+            left = min(1.0, run["final_rms_m"] / run["start_distance_m"])
+            coarse_s = run["to_5mm_s"] if run["settled"] else duration_s * (1.0 + left)
+            times_s.append(0.9 * coarse_s + 0.1 * min(duration_s, run["to_2mm_s"]))
         quantity, most = self.terms.limit
-        middle = float(np.median([getattr(run, quantity, 0.0) for run in outcomes]))
+        middle = float(np.median([run.get(quantity, 0.0) for run in runs]))
         return sum(times_s) / len(times_s) + 20.0 * max(0.0, middle / most - 1.0)
 
 
@@ -160,9 +159,9 @@ def search_all(
             for trial in search.trials(positions, cases)
         ]
         label = f"search, round {generation + 1} of {generations}"
-        outcomes = iter(context.outcomes(trials, label))
+        runs = iter(context.run(trials, label))
         for index, candidates in enumerate(asked):
-            costs = [numbered[index][0].cost([next(outcomes) for _ in cases]) for _ in candidates]
+            costs = [numbered[index][0].cost([next(runs) for _ in cases]) for _ in candidates]
             judged = list(zip(candidates, costs, strict=True))
             optimisers[index].tell(judged)
             positions, cost = min(judged, key=lambda pair: pair[1])

@@ -67,7 +67,7 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 
 
 TABLES = (
-    lab.TableOf(
+    lab.Table(
         "regimes",
         ("scheme",),
         ("to_5mm_s",),

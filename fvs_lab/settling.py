@@ -131,7 +131,7 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 
 
 TABLES = (
-    lab.TableOf(
+    lab.Table(
         "promises",
         ("gains", "world"),
         ("to_5mm_s:half", "bound_s:half", "printed_s:half", "within:of", "printed_kept:of"),

@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import islice, product
 from typing import Any
 
 import numpy as np
 
+from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.base import Estimator
-from fvs_lab.outcome import JACOBIAN_EVERY, Outcome, outcome_of
-from fvs_ros.kinds.ball import Ball
 from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.track import Track
 from fvs_ros.vectors import length
 from fvs_sim_node.camera import CAMERAS, CameraPose
+from fvs_sim_node.config import SimConfig
 from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
-from fvs_sim_node.simulation import SimConfig, Simulation
+from fvs_sim_node.simulation import Simulation
 from fvs_tools.closed_loop import ClosedLoop, make_estimator
 from fvs_tools.schemes import SCHEMES, Scheme
-from fvs_tools.score import SETTLED_ERROR_M
+from fvs_tools.score import (
+    FINAL_S,
+    FINE_ERROR_M,
+    SETTLED_ERROR_M,
+    jitter_rad_s,
+    settling_time_s,
+)
 
+#: Ticks between comparisons of the Jacobian in use with the true one.
+JACOBIAN_EVERY = 5
 #: Middle and half widths of the box that starts and goals are drawn from, rad.
 HOME_RAD = np.array(HOME_JOINTS_RAD)
 BOX_RAD = np.array(TRAINING_BOX_RAD)
@@ -64,53 +72,20 @@ class StableNoise:
 
 
 @dataclass(frozen=True)
-class Conditions:
-    """The world of a run, the same for all variants in a comparison."""
+class Conditions(SimConfig):
+    """The world of a run, the same for all variants in a comparison.
 
-    #: What the arm carries.
-    feature: str = Ball.name
-    #: Whether it is seen in rendered images.
-    rendered: bool = True
+    The simulator's parameters, and what only the laboratory changes.
+    """
+
     #: Further noise on each coordinate, m, and that of :class:`StableNoise`; 2 for white noise.
     position_noise_m: float = 0.001
     noise_exponent: float = 2.0
-    #: Factor on the depth camera's own noise (rendered only).
-    depth_noise: float = 1.0
-    image_rate_hz: float = 30.0
-    #: From exposure to the ball position's release, s.
-    latency_s: float = 0.04
-    #: Share of the images that are lost.
-    dropout: float = 0.0
-    #: Relative error, positive for too large, of the reported focal length and of the depths.
-    focal_error: float = 0.0
-    depth_error: float = 0.0
-    #: White noise on each reported joint angle, rad.
-    encoder_noise_rad: float = 0.0
-    #: From a command to the drives' first answer, and further lag of the drives, s.
-    dead_time_s: float = SimConfig.dead_time_s
-    joint_lag_s: float = 0.0
-    #: Speed of the drives over the commanded one.
-    drive_gain: float = 1.0
-    #: Steps of the physics a second; fewer make a search faster.
-    physics_rate_hz: float = 500.0
     #: Rotation vector, camera frame, degrees, by which the camera has been carried round the scene
     #: since the networks were trained; it still looks at the scene.
     camera_carried_deg: Vector = (0.0, 0.0, 0.0)
     #: From the middle of the scene, m; 0 for that of the front camera.
     camera_distance_m: float = 0.0
-    #: The tag, or the body of tags, where the feature is a pose.
-    tag: Tag = field(default_factory=Tag)
-
-    def sim_config(self) -> SimConfig:
-        """The simulation of these conditions."""
-        alike = {item.name for item in fields(self)} & {item.name for item in fields(SimConfig)}
-        return SimConfig(
-            **{name: getattr(self, name) for name in alike},
-            speed_scaling_percent=100.0 * self.drive_gain,
-            camera_pose=_carried_camera(
-                np.radians(self.camera_carried_deg), self.camera_distance_m
-            ),
-        )
 
 
 def _carried_camera(rotation_rad: np.ndarray, distance_m: float) -> CameraPose:
@@ -132,7 +107,9 @@ def _carried_camera(rotation_rad: np.ndarray, distance_m: float) -> CameraPose:
 def simulation_of(conditions: Conditions) -> Simulation:
     """The process's simulation, put under these conditions; to be reset before use."""
     simulation = _build(conditions.physics_rate_hz, conditions.feature, conditions.tag)
-    simulation.configure(conditions.sim_config())
+    carried_rad = np.radians(conditions.camera_carried_deg)
+    camera = _carried_camera(carried_rad, conditions.camera_distance_m)
+    simulation.configure(replace(conditions, camera_pose=camera))
     noise = StableNoise(conditions.position_noise_m, conditions.noise_exponent)
     simulation.position_noise = noise if noise.exponent < 2.0 else None
     return simulation
@@ -140,7 +117,7 @@ def simulation_of(conditions: Conditions) -> Simulation:
 
 @lru_cache(maxsize=4)
 def _build(physics_rate_hz: float, feature: str, tag: Tag) -> Simulation:
-    return Simulation(Conditions(feature, physics_rate_hz=physics_rate_hz, tag=tag).sim_config())
+    return Simulation(SimConfig(feature=feature, physics_rate_hz=physics_rate_hz, tag=tag))
 
 
 @dataclass(frozen=True)
@@ -333,13 +310,18 @@ def apart(
 # ---- runs -----------------------------------------------------------------------------------
 
 
-def run_trial(trial: Trial) -> Outcome:
+def run_trial(trial: Trial) -> dict[str, Any]:
     """Run one trial; the same to the bit in whatever process."""
     return drive(trial, simulation_of(trial.conditions))
 
 
-def drive(trial: Trial, simulation: Simulation) -> Outcome:
-    """Run one trial in a simulation that has been put under its conditions."""
+def drive(trial: Trial, simulation: Simulation) -> dict[str, Any]:
+    """Run one trial in a simulation that has been put under its conditions.
+
+    Returns its row of the tidy table: its labels, the columns of :func:`outcome`, ``target_m`` (the
+    last target, camera frame, m) and ``series``, which is empty unless recorded: ``time_s`` (n,),
+    ``feature_m`` and ``exponent`` (n, m), ``error_m`` (n,), ``command_rad_s`` (n, joints).
+    """
     case, bump, path = trial.case, trial.bump, trial.path
     assert case is not None
     simulation.reset(case.start_rad, case.seed)
@@ -377,8 +359,67 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
         below_since_s = min(below_since_s, times_s[-1]) if near else np.inf
         if trial.stop_after_s is not None and times_s[-1] - below_since_s >= trial.stop_after_s:
             break
-    series = np.array(times_s), np.array(features_m), np.array(errors_m), target_m
-    return outcome_of(*series, commands, np.array(jacobian_errors), trial.record)
+    series = {}
+    if trial.record:
+        none = np.full(loop.kind.size, np.nan)
+        outputs = [command.output for command in commands]
+        series = {
+            "time_s": np.array(times_s),
+            "feature_m": np.array(features_m),
+            "error_m": np.array(errors_m),
+            "command_rad_s": np.array([command.velocity_rad_s for command in commands]),
+            "exponent": np.array([none if one is None else one.exponent for one in outputs]),
+        }
+    judged = outcome(np.array(times_s), np.array(errors_m), commands, np.array(jacobian_errors))
+    return {**trial.labels, **judged, "target_m": tuple(target_m.tolist()), "series": series}
+
+
+def outcome(
+    times_s: np.ndarray,
+    errors_m: np.ndarray,
+    commands: Sequence[Command],
+    jacobian_errors: np.ndarray,
+) -> dict[str, Any]:
+    """Judge a run of n ticks.
+
+    Times since the target was given, s, and true errors from it, m, shape (n,); relative errors of
+    the Jacobian in use at every ``JACOBIAN_EVERY``-th tick.
+    """
+    speeds = np.array([command.velocity_rad_s for command in commands])
+    settled_s, fine_s = (
+        float("inf") if (time_s := settling_time_s(times_s, errors_m, bound)) is None else time_s
+        for bound in (SETTLED_ERROR_M, FINE_ERROR_M)
+    )
+    last, moving = times_s > times_s[-1] - FINAL_S, times_s <= settled_s
+    serving = commands[-1].state is State.SERVOING
+    limited = [bool(command.active_limit) for command in commands]
+    settled = bool(np.isfinite(settled_s))
+    return {
+        "settled": settled,
+        # Time after which the error stayed below a bound; infinite for never.
+        "to_5mm_s": settled_s,
+        "to_2mm_s": fine_s,
+        # Error when the target was given, and over the last second, rms.
+        "start_distance_m": float(errors_m[0]),
+        "final_rms_m": float(np.sqrt(np.mean(errors_m[last] ** 2))),
+        # Change of the command from tick to tick over the last second, rms, worst joint; infinite
+        # for an arm that the supervisor held, since its rest is no merit of the law.
+        "jitter_rad_s": jitter_rad_s(speeds[last]) if serving else float("inf"),
+        "peak_joint_speed_rad_s": float(np.abs(speeds).max()),
+        # Share of the time to 5 mm (or the whole run) in which a limit shaped the command.
+        "limited_share": float(np.mean(limited, where=moving)),
+        "jacobian_error": float(np.mean(jacobian_errors[moving[::JACOBIAN_EVERY]])),
+        "failure": "" if settled else _cause(times_s, errors_m, commands[-1]),
+    }
+
+
+def _cause(times_s: np.ndarray, errors_m: np.ndarray, end: Command) -> str:
+    """Why a run did not settle."""
+    if end.state is not State.SERVOING:
+        return f"held: {end.reason.name.lower().replace('_', ' ')}"
+    if errors_m[times_s > times_s[-1] - FINAL_S].min() < SETTLED_ERROR_M:
+        return "reached 5 mm, but did not stay"
+    return "too slow" if errors_m[-1] < 0.9 * errors_m[0] else "did not get nearer"
 
 
 def give_target(loop: ClosedLoop, goal_rad: Joints) -> np.ndarray:

@@ -7,7 +7,7 @@ from fvs_tools.closed_loop import ClosedLoop
 
 EXACT = Conditions(rendered=False)
 #: Of a tag, with noise like that of images.
-EXACT_POSE = Conditions("pose", rendered=False, position_noise_m=3e-4)
+EXACT_POSE = Conditions(feature="pose", rendered=False, position_noise_m=3e-4)
 
 
 def loop_from(name, start_rad, simulation=None, seed=1, **values):

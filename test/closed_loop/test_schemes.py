@@ -112,7 +112,7 @@ def test_the_noise_of_images_is_learned_and_not_thrown_back_at_the_arm(
     name, image_rate_hz, after_s
 ):
     noise_m = 0.010
-    config = dataclasses.replace(EXACT.sim_config(), image_rate_hz=image_rate_hz)
+    config = dataclasses.replace(EXACT, image_rate_hz=image_rate_hz)
     # The cases that went wrong once did so by chance: several, one after another.
     for seed in range(2):
         simulation = Simulation(config)

@@ -54,7 +54,7 @@ def test_from_30_cm_it_settles_within_the_limits_and_stays_exact_and_calm(name, 
 @each("rate_hz", [60, 1000])
 def test_any_rate_of_joint_states_will_do(rate_hz):
     rates = {"joint_state_rate_hz": rate_hz, "physics_rate_hz": 0}
-    simulation = Simulation(dataclasses.replace(EXACT.sim_config(), **rates))
+    simulation = Simulation(dataclasses.replace(EXACT, **rates))
     target_m = feature_at(simulation, np.array(CASE.goal_rad))
     values = {"joint_state_rate_hz": float(rate_hz)}
     loop = loop_from("proposed", np.array(CASE.start_rad), simulation, **values)

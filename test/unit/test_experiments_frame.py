@@ -9,7 +9,7 @@ from scipy.stats import bootstrap
 
 from fvs_lab.experiment import Claim, Part
 from fvs_lab.report import write_page, write_report
-from fvs_lab.results import Interval, Results, median, ratio_of_medians, table
+from fvs_lab.results import Interval, Results, Table, median, ratio_of_medians
 
 INF = float("inf")
 
@@ -79,11 +79,11 @@ def test_a_table_has_a_row_per_group_and_values_side_by_side():
         {"scheme": scheme, "world": world, "settled": time_s < INF, "to_5mm_s": time_s}
         for scheme, world, time_s in (("a", "x", 1.0), ("a", "y", 2.0), ("b", "x", INF))
     )
-    assert table(runs, ["scheme"], ["to_5mm_s:half"], across="world") == [
+    assert Table("", ["scheme"], ["to_5mm_s:half"], across="world").rows(runs) == [
         {"scheme": "a", "x": "1.00", "y": "2.00"},
         {"scheme": "b", "x": "never", "y": "-"},
     ]
-    first, _ = table(runs, ["scheme"], ["to_5mm_s", "settled:of"])
+    first, _ = Table("", ["scheme"], ["to_5mm_s", "settled:of"]).rows(runs)
     assert first == {"scheme": "a", "to 5 mm, s": "1.50 [1.00, 2.00]", "settled": "2 of 2"}
 
 
@@ -98,7 +98,7 @@ def test_a_report_keeps_numbers_and_a_page_shows_them(tmp_path):
         "name": "servo",
         "title": "Servoing",
         "question": "Why?",
-        "setup": ["So."],
+        "setup": "So.",
         "figures": [{"file": "one.png", "caption": "what is seen"}],
         "tables": [{"caption": "numbers", "rows": [{"a": "1"}]}],
         "verdicts": [claim],
