@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import lru_cache
 from itertools import islice
 from typing import Any
@@ -16,7 +15,7 @@ from fvs_estimator_node.registry import create_estimator
 from fvs_estimator_node.training import TrainingOptions, train
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.floor import Limits, Scaled, fastest
+from fvs_lab.floor import Limits, least_time_s
 from fvs_lab.results import Results, median
 from fvs_lab.trials import Case, Trial, apart, crossed, drive, photo, relative_errors
 from fvs_ros.limits import JointLimits, with_urdf_limits
@@ -90,7 +89,6 @@ def servo(task: tuple[str, int, float]) -> list[dict[str, Any]]:
     asked = JointLimits(joint_names=simulation.world.joint_names)
     limits = JointLimits.from_values(_described(arm, asked))
     equal = Limits(limits.max_joint_velocity_rad_s, limits.max_joint_acceleration_rad_s2)
-    kinematics = Scaled(simulation.world.chain, limits.share)
     best = scheme("best")
     variant = Trial(
         best,
@@ -107,9 +105,8 @@ def servo(task: tuple[str, int, float]) -> list[dict[str, Any]]:
         case = Case(f"{arm} {number + 1}", *pair, number)
         (trial,) = crossed([variant], [case])
         run = drive(trial, simulation)
-        start, goal = (tuple(joints / limits.share) for joints in pair)
-        in_units = replace(case, start_rad=start, goal_rad=goal)
-        floor_s = fastest(in_units, equal, SETTLED_ERROR_M, kinematics).time_s
+        chain, share = simulation.world.chain, limits.share
+        floor_s = least_time_s(case, equal, SETTLED_ERROR_M, chain, share)
         rows.append({**run, "over_5mm": run["to_5mm_s"] / floor_s})
     return rows
 

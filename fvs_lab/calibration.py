@@ -193,7 +193,6 @@ TABLES = (
             "position_m:half",
             "position_m:largest",
             "angle_deg:half",
-            "angle_deg:largest",
             "inside:of",
         ),
         across="zeros_deg",

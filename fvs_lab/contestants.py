@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from fvs_lab.floor import Limits, fastest
+from fvs_lab.floor import Limits, least_time_s
 from fvs_lab.trials import Case, Conditions, Trial
 from fvs_ros.chain import SerialChain
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
@@ -32,9 +32,10 @@ CONTESTANTS: dict[str, Scheme] = {
 
 def variant(name: str, conditions: Conditions = EXACT, **labels: Any) -> Trial:
     """A contestant with the limits that all have, and further labels."""
-    return Trial.of(CONTESTANTS[name], conditions).changed(labels, controller=CLIPPED)
+    trial = Trial(CONTESTANTS[name], conditions, {"scheme": name, **labels})
+    return trial.changed(controller=CLIPPED)
 
 
 def floor_s(case: Case, arm: SerialChain | None = None) -> float:
     """Least time until the ball stays within 5 mm, by the joints' limits, s."""
-    return fastest(case, Limits(*CLIPPED.values()), SETTLED_ERROR_M, arm).time_s
+    return least_time_s(case, Limits(*CLIPPED.values()), SETTLED_ERROR_M, arm)

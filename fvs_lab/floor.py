@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -56,55 +55,29 @@ class Limits:
         return travel, (peak - end_rad_s - cut) / steep, peak - cut
 
 
-@dataclass(frozen=True)
-class Fastest:
-    """The motion that has the ball near the target soonest."""
-
-    #: From rest until the ball is near the target for good, s.
-    time_s: float
-    #: Of the joints at that time, shape (joints,).
-    travel_rad: np.ndarray
-    speed_rad_s: np.ndarray
-    #: Accelerations from then on, each for ``piece_s``; then the joints are at rest. Shape
-    #: (pieces, joints).
-    braking_rad_s2: np.ndarray
-    piece_s: float
-
-
-@dataclass(frozen=True)
-class Scaled:
-    """An arm whose joints are told in units of their shares, (n,), and so have equal limits."""
-
-    arm: SerialChain
-    share: np.ndarray
-
-    def position(self, units: np.ndarray) -> np.ndarray:
-        """Where the ball is, m, (..., 3)."""
-        return self.arm.position(units * self.share)
-
-    def jacobian(self, units: np.ndarray) -> np.ndarray:
-        """Its Jacobian, m per unit, (..., 3, n)."""
-        return self.arm.jacobian(units * self.share) * self.share
-
-
 @lru_cache(maxsize=1)
 def ur5() -> SerialChain:
     """The simulated UR5's true kinematics, world frame."""
     return simulation_of(Conditions()).world.chain
 
 
-def fastest(
-    case: Case, limits: Limits, tolerance_m: float, arm: SerialChain | Scaled | None = None
-) -> Fastest:
-    """Find the motion that has the ball near the target soonest, by true kinematics.
+def least_time_s(
+    case: Case,
+    limits: Limits,
+    tolerance_m: float,
+    arm: SerialChain | None = None,
+    share: np.ndarray | float = 1.0,
+) -> float:
+    """Find the least time until the ball is near the target for good, s, by true kinematics.
 
     By a sequential quadratic programme from the motion to the joints that the target was drawn
-    from. Joints may turn as far as they like; near is within the tolerance, m.
+    from. Joints may turn as far as they like; near is within the tolerance, m. A joint has its
+    share of the limits.
     """
     from scipy.optimize import minimize
 
-    arm = ur5() if arm is None else arm
-    travel = np.array(case.goal_rad) - np.array(case.start_rad)
+    start, goal = np.array(case.start_rad) / share, np.array(case.goal_rad) / share
+    travel = goal - start
     rest_s = limits.rest_s(float(np.abs(travel).max()))
     steep, top = limits.acceleration_rad_s2, limits.speed_rad_s
     # More time than a joint needs to brake from the speed limit gains nothing.
@@ -114,8 +87,18 @@ def fastest(
     unit, travels, speeds, pieces, paths = _unknowns(joints, piece_s)
     rest = speeds + piece_s * pieces.sum(axis=0)
     ways, ways_rad = np.repeat([1.0, -1.0], joints), np.vstack([travels, -travels])
+    arm = ur5() if arm is None else arm
+    target_m = arm.position(goal * share)
 
-    near = _near(case, arm, paths, tolerance_m)
+    # All joints are in units of their shares, and so have equal limits.
+    def near(unknown: np.ndarray) -> np.ndarray:
+        missing = (arm.position((start + paths @ unknown) * share) - target_m) / tolerance_m
+        return 1.0 - np.sum(missing**2, axis=1)
+
+    def near_slopes(unknown: np.ndarray) -> np.ndarray:
+        joints = (start + paths @ unknown) * share
+        missing = (arm.position(joints) - target_m) / tolerance_m**2
+        return -2.0 * np.einsum("kx,kxj,kjn->kn", missing, arm.jacobian(joints) * share, paths)
 
     def reached(unknown: np.ndarray) -> np.ndarray:
         return limits.furthest(ways * np.tile(speeds @ unknown, 2), unknown[0])[0] - (
@@ -132,7 +115,7 @@ def fastest(
         np.concatenate([[rest_s], travel, np.zeros((1 + PIECES) * joints)]),
         jac=lambda _: unit[0],
         constraints=(
-            near,
+            {"type": "ineq", "fun": near, "jac": near_slopes},
             {"type": "ineq", "fun": reached, "jac": reached_slopes},
             {"type": "eq", "fun": lambda unknown: rest @ unknown, "jac": lambda _: rest},
         ),
@@ -144,29 +127,9 @@ def fastest(
         method="SLSQP",
         options={"maxiter": 2000, "ftol": 1e-7},
     ).x
-    if near["fun"](solution).min() < -0.02:  # outside by a hundredth of the tolerance
+    if near(solution).min() < -0.02:  # outside by a hundredth of the tolerance
         raise RuntimeError(f"no fastest motion found for case {case.name}")
-    end = speeds @ solution
-    least_s = limits.least_s(travels @ solution, end)
-    return Fastest(least_s, travels @ solution, end, pieces @ solution, piece_s)
-
-
-def _near(
-    case: Case, arm: SerialChain | Scaled, paths: np.ndarray, tolerance_m: float
-) -> dict[str, Any]:
-    """The constraint that the ball is within the tolerance at each look, and its slopes."""
-    start, target_m = np.array(case.start_rad), arm.position(np.array(case.goal_rad))
-
-    def near(unknown: np.ndarray) -> np.ndarray:
-        missing = (arm.position(start + paths @ unknown) - target_m) / tolerance_m
-        return 1.0 - np.sum(missing**2, axis=1)
-
-    def slopes(unknown: np.ndarray) -> np.ndarray:
-        joints = start + paths @ unknown
-        missing = (arm.position(joints) - target_m) / tolerance_m**2
-        return -2.0 * np.einsum("kx,kxj,kjn->kn", missing, arm.jacobian(joints), paths)
-
-    return {"type": "ineq", "fun": near, "jac": slopes}
+    return limits.least_s(travels @ solution, speeds @ solution)
 
 
 def _unknowns(joints: int, piece_s: float) -> tuple[np.ndarray, ...]:

@@ -98,8 +98,11 @@ class Search:
         gains = {gain.name: gain.value(at) for gain, at in zip(self.free, positions, strict=True)}
         estimators = {name: value for name, value in gains.items() if "." in name}
         laws = {name: value for name, value in gains.items() if "." not in name}
-        return Trial.of(self.scheme, EXACT, duration_s=self.terms.duration_s).changed(
-            estimator=estimators, controller={**self.terms.limits, **laws}
+        trial = Trial(self.scheme, EXACT, {"scheme": self.scheme.name})
+        return trial.changed(
+            estimator=estimators,
+            controller={**self.terms.limits, **laws},
+            duration_s=self.terms.duration_s,
         )
 
     def trials(self, positions: np.ndarray, cases: Sequence[Case]) -> list[Trial]:

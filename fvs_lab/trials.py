@@ -184,11 +184,6 @@ class Trial:
     #: Makes an estimator that no registry has.
     estimator_of: Callable[[Simulation, Case], Estimator] | None = None
 
-    @classmethod
-    def of(cls, scheme: Scheme, conditions: Conditions, **fields: Any) -> Trial:
-        """A scheme, labelled by its name."""
-        return cls(scheme, conditions, {"scheme": scheme.name}, **fields)
-
     def changed(
         self,
         labels: Mapping[str, Any] | None = None,
