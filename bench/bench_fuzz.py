@@ -2,9 +2,9 @@
 
 python -m bench fuzz; FVS_BENCH_CYCLES is the number of ticks, FVS_BENCH_SEED the first seed.
 
-Each rule of :class:`Machine` is one thing that happens in a :class:`~bench.fuzz_world.World`;
-Hypothesis draws their order and numbers, on every core. The first broken promise ends the campaign:
-Hypothesis shrinks it to the shortest script that breaks it, and prints that.
+Each rule of :class:`Machine` is one thing that happens in a judged world; Hypothesis draws their
+order and numbers, on every core. The first broken promise ends the campaign: Hypothesis shrinks it
+to the shortest script that breaks it, and prints that.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from hypothesis.stateful import (
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from tqdm import tqdm
 
-from bench.fuzz_promises import Promises
+from bench.fuzz_promises import JudgedWorld
 from bench.fuzz_world import (
     BALL,
     FRESH_TICKS,
@@ -44,7 +44,6 @@ from bench.fuzz_world import (
     MOST_JOINTS,
     PLANTS,
     TICK_S,
-    World,
 )
 from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.config import LAWS, PARAMETERS
@@ -130,7 +129,7 @@ CHANGES = st.one_of(
 )
 
 
-class Machine(RuleBasedStateMachine, World):
+class Machine(RuleBasedStateMachine, JudgedWorld):
     """A world and what happens in it; called by hand, the rules are a script."""
 
     def __init__(self):
@@ -158,8 +157,7 @@ class Machine(RuleBasedStateMachine, World):
         """Make the world, of the plainest law by default, at rest or at work."""
         given = {"law": law, "autostart": autostart, "max_joint_jerk_rad_s3": jerk}
         given["command_interface"] = interface
-        World.__init__(self, given, **world)
-        Promises(self)
+        JudgedWorld.__init__(self, given, **world)
         if at_work:
             self.work()
 

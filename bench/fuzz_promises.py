@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from bench.fuzz_world import LONGEST_TICK_S, MAX_AGE, TICK_S, keep
+from bench.fuzz_world import LONGEST_TICK_S, MAX_AGE, TICK_S, World, keep
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import Reason, State, Stop
 
@@ -28,60 +28,59 @@ LONGEST_BUILD_UP_S = 0.1
 LATE_S, MARGIN = 1.0, 1.5
 
 
-class Promises:
-    """Judges each command of a world's controller."""
+class JudgedWorld(World):
+    """A world in which each command of the controller is judged."""
 
-    def __init__(self, world):
-        self._world = world
-        world.judge = self.judge
+    def __init__(self, given=None, **world):
+        super().__init__(given, **world)
         self._ticked_s = -math.inf
         self._held_s = self._stopping_s = 0.0
-        self._ignored_rad = np.zeros(world.joints.size)
+        self._ignored_rad = np.zeros(self.joints.size)
         self._dt_s = 0.0
         self._errand = None
-        self._step = np.zeros(world.joints.size)  # to the last command
+        self._step = np.zeros(self.joints.size)  # to the last command
         self._unchanged_s = 0.0  # what the ticks since the last change of task or limit counted for
 
     def _begin_image(self):
         """Count anew what the arm does on a wrong image."""
-        self._from_m, self._way_m, self._fastest_m_s = self._world.arm_moved_m(), 0.0, 0.0
+        self._from_m, self._way_m, self._fastest_m_s = self.arm_moved_m(), 0.0, 0.0
 
     def judge(self, command, now_s, dt_s):
         """Judge a tick: steady clock and time step, s."""
-        world, v, reason = self._world, command.velocity_rad_s, command.reason
-        if world.new_task:
+        v, reason = command.velocity_rad_s, command.reason
+        if self.new_task:
             self._errand, self._unchanged_s = None, 0.0
         elif abs(dt_s - self._dt_s) > 0.1 * dt_s:  # a period that was learned anew
             self._unchanged_s = 0.0
         else:
             self._unchanged_s += dt_s
-        if world.new_task or world.new_image:
+        if self.new_task or self.new_image:
             self._begin_image()
-        world.new_task = world.new_image = False
-        numbers = v.shape == world.joints.shape and v.dtype == float and np.isfinite(v).all()
+        self.new_task = self.new_image = False
+        numbers = v.shape == self.joints.shape and v.dtype == float and np.isfinite(v).all()
         keep("one finite number a joint", numbers, v)
         keep("a tick counts for a period at most", dt_s <= TICK_S, dt_s)
         self._judge_sent(v, dt_s)
         passed_s = min(max(now_s - self._ticked_s, 0.0), LONGEST_TICK_S)
         self._ticked_s = now_s
-        jerk = world.values["max_joint_jerk_rad_s3"]
+        jerk = self.values["max_joint_jerk_rad_s3"]
         servoing = command.state is State.SERVOING
         brake_rad_s2, fast = (
-            world.values[f"max_joint_{name}"] for name in ("acceleration_rad_s2", "velocity_rad_s")
+            self.values[f"max_joint_{name}"] for name in ("acceleration_rad_s2", "velocity_rad_s")
         )
         if not servoing and not jerk:  # coming to rest takes half a second
             brake_rad_s2 = max(brake_rad_s2, fast / 0.5)
-        stands = np.array_equal(v, world.before) or not v.any()
+        stands = np.array_equal(v, self.before) or not v.any()
         keep("a tick that counts for nothing changes nothing", dt_s or stands, v)
         if dt_s:
             self._judge_limits(command, brake_rad_s2, brake_rad_s2 * dt_s, fast)
-        trouble = not world.program_runs or world.scaling <= 0.0 or world.bad
+        trouble = not self.program_runs or self.scaling <= 0.0 or self.bad
         at_once, moves = reason.stop is Stop.AT_ONCE, not jerk and v.any()
         keep("zeros at once", not (at_once and moves), v, reason.name)
-        keep("zeros whatever came first", not (trouble and moves), v, reason.name, world.bad)
+        keep("zeros whatever came first", not (trouble and moves), v, reason.name, self.bad)
         self._judge_ramp(v, dt_s, trouble or at_once, brake_rad_s2, jerk)
         agree = reason.state is command.state
-        agree |= command.state is State.WAITING and not world.session
+        agree |= command.state is State.WAITING and not self.session
         keep("state and reason agree", agree, command.state, reason.name)
         keep("the law is asked to servo only", (command.output is not None) == servoing)
         keep("says why", command.text.strip(), reason.name)
@@ -93,53 +92,52 @@ class Promises:
         else:
             self._held_s += passed_s
             self._ignored_rad = np.zeros_like(v)
-            follows = not world.honest or reason is not Reason.NOT_FOLLOWING
+            follows = not self.honest or reason is not Reason.NOT_FOLLOWING
             keep("an arm that follows is not held for it", follows, command.text)
             self._begin_image()
-        long = self._held_s > world.values["resume_within_s"] + 2.0 * LONGEST_TICK_S
+        long = self._held_s > self.values["resume_within_s"] + 2.0 * LONGEST_TICK_S
         if long or reason.needs_start:
-            world.end_session()
+            self.end_session()
 
     # ---- every command --------------------------------------------------------------------
 
     @property
     def _builds_up(self):
         """Whether, within a jerk limit, an acceleration may still go and braking build up."""
-        jerk = self._world.values["max_joint_jerk_rad_s3"]
+        jerk = self.values["max_joint_jerk_rad_s3"]
         return jerk > 0.0 and self._unchanged_s < TICK_S + 2.0 * LONGEST_BUILD_UP_S
 
     def _judge_sent(self, v, dt_s):
         """On the wire is what was decided, and of a position the step of one period."""
-        world = self._world
-        same = not dt_s and np.array_equal(v, world.before)  # then it need not be repeated
-        if not world.positions:
-            sent = all(np.array_equal(one.data, v) for one in world.wire)
-            keep("sends what it decided", sent and (same or world.wire), v, world.wire)
+        same = not dt_s and np.array_equal(v, self.before)  # then it need not be repeated
+        if not self.positions:
+            sent = all(np.array_equal(one.data, v) for one in self.wire)
+            keep("sends what it decided", sent and (same or self.wire), v, self.wire)
             return
         # Before the first motion of a session the joints may not be where they were measured.
-        active = (world.node._loop.supervisor.started and world.goes_to is not None) or v.any()
-        lock_step = world.node.simulated_time
-        keep("positions in a session only", active or lock_step or not world.wire, world.wire)
-        keep("positions all the time", world.wire or same or not active, v)
-        for one in world.wire:
+        active = (self.node._loop.supervisor.started and self.goes_to is not None) or v.any()
+        lock_step = self.node.simulated_time
+        keep("positions in a session only", active or lock_step or not self.wire, self.wire)
+        keep("positions all the time", self.wire or same or not active, v)
+        for one in self.wire:
             to = np.array(one.data)
-            start = world.joints if world.goes_to is None else world.goes_to
-            most = TICK_S * world.values["max_joint_velocity_rad_s"] * world.limits.share
+            start = self.joints if self.goes_to is None else self.goes_to
+            most = TICK_S * self.values["max_joint_velocity_rad_s"] * self.limits.share
             near = np.all(np.abs(to - start) <= most + ROUNDING)
             keep("a position is a step away", near or not active, to, start)
-            known = start, world.node._joints if world.node._joints is not None else start
-            low = np.minimum(world.limits.lower_rad, np.min(known, axis=0)) - ROUNDING
-            high = np.maximum(world.limits.upper_rad, np.max(known, axis=0)) + ROUNDING
+            known = start, self.node._joints if self.node._joints is not None else start
+            low = np.minimum(self.limits.lower_rad, np.min(known, axis=0)) - ROUNDING
+            high = np.maximum(self.limits.upper_rad, np.max(known, axis=0)) + ROUNDING
             inside = np.all((low <= to) & (to <= high))
             keep("a position is in range", inside or not active, to, start)
-            world.goes_to = to if active else None
-        world.goes_to = world.goes_to if active else None
+            self.goes_to = to if active else None
+        self.goes_to = self.goes_to if active else None
 
     def _judge_ramp(self, v, dt_s, stops, brake_rad_s2, jerk):
         """A stop within a jerk limit takes as long as the limits ask for."""
         if not stops or not self._unchanged_s:
             self._stopping_s = 0.0
-            fastest = np.abs(v / self._world.limits.share).max()
+            fastest = np.abs(v / self.limits.share).max()
             # An acceleration goes first, and makes it faster by half of what that takes.
             self._stops_in_s = fastest / brake_rad_s2 + 2.5 * brake_rad_s2 / max(jerk, 1.0)
             return
@@ -149,10 +147,10 @@ class Promises:
 
     def _judge_limits(self, command, brake_rad_s2, step_rad_s, fast_rad_s):
         # In units of the joints' shares, in which all have the same limits.
-        world, share, reason = self._world, self._world.limits.share, command.reason
-        v, last = world.last / share, world.before / share
+        share, reason = self.limits.share, command.reason
+        v, last = self.last / share, self.before / share
         fastest, before = np.abs(v).max(), np.abs(last).max()
-        jerk = world.values["max_joint_jerk_rad_s3"]
+        jerk = self.values["max_joint_jerk_rad_s3"]
         at_once = reason.stop is Stop.AT_ONCE and not jerk
         slower_rad_s = braked_rad_s = BELOW * step_rad_s
         before_step = self._step
@@ -177,11 +175,11 @@ class Promises:
         if command.state is not State.SERVOING and not jerk:
             slower = np.all((v * last >= 0.0) & (np.abs(v) <= np.abs(last)))
             keep("only slower", slower, v, last, reason.name)
-        joints_rad = world.node._loop._joints  # as the controller knows them, noise averaged
+        joints_rad = self.node._loop._joints  # as the controller knows them, noise averaged
         if joints_rad is None or not v.any():
             return
         # No joint goes outward faster than it can brake, unless it brakes already.
-        ends = np.where(v > 0.0, world.limits.upper_rad, world.limits.lower_rad)
+        ends = np.where(v > 0.0, self.limits.upper_rad, self.limits.lower_rad)
         room = np.maximum(0.0, np.sign(v) * (ends - joints_rad)) / share
         if jerk > 0.0:  # full braking builds up first
             room += np.abs(v) * 2.0 * brake_rad_s2 / jerk
@@ -202,52 +200,50 @@ class Promises:
 
     def _judge_session(self, now_s):
         """It was asked for, on fresh inputs."""
-        world = self._world
-        keep("moves when asked only", world.take_session())
+        keep("moves when asked only", self.take_session())
         for name in MAX_AGE:
-            age_s = now_s - world.arrived_s[name]
-            keep("fresh inputs", age_s <= world.max_age_s(name), name, age_s)
-            trusted = world.good[name] == math.inf
-            keep("several good messages end a trouble", trusted, name, world.good[name])
+            age_s = now_s - self.arrived_s[name]
+            keep("fresh inputs", age_s <= self.max_age_s(name), name, age_s)
+            trusted = self.good[name] == math.inf
+            keep("several good messages end a trouble", trusted, name, self.good[name])
 
     def _judge_servoing(self, dt_s):
         """It ends when it leads nowhere."""
-        world, values = self._world, self._world.values
-        fastest, before = np.abs(world.last).max(), np.abs(world.before).max()
+        values = self.values
+        fastest, before = np.abs(self.last).max(), np.abs(self.before).max()
         # A start leaves a singular pose slowly, for ten seconds.
-        leaves = world.now_s - world.asked_s < 10.0 + LATE_S and fastest <= 0.1 + ROUNDING
-        low = world.singular_m_rad < values["singular_hold_m_rad"]
+        leaves = self.now_s - self.asked_s < 10.0 + LATE_S and fastest <= 0.1 + ROUNDING
+        low = self.singular_m_rad < values["singular_hold_m_rad"]
         ok = not low or leaves or fastest < before or self._builds_up
-        keep("held near a singularity", ok, world.singular_m_rad, world.last)
+        keep("held near a singularity", ok, self.singular_m_rad, self.last)
 
-        target_m, ball_m = world.target_m, world.ball()
+        target_m, ball_m = self.target_m, self.ball()
         if self._errand is None or not self._errand.same(target_m, ball_m):
             self._errand = _Errand(target_m, ball_m)
-            self._ignored_rad = np.zeros_like(world.last)
+            self._ignored_rad = np.zeros_like(self.last)
         wrong = self._errand.add(ball_m, dt_s, values)
         keep(wrong, not wrong, ball_m, target_m)
 
         # 30 mrad to 50 mrad, and once more as far as drives lag.
-        stuck = world.plant == "ignores" and world.scaling >= 100.0
-        self._ignored_rad += dt_s * world.last if stuck else -self._ignored_rad
+        stuck = self.plant == "ignores" and self.scaling >= 100.0
+        self._ignored_rad += dt_s * self.last if stuck else -self._ignored_rad
         ok = np.all(np.abs(self._ignored_rad) < 0.055 + 0.21 * values["max_joint_velocity_rad_s"])
         keep("an arm that does not follow is held", ok, self._ignored_rad)
 
     def _judge_image(self, dt_s):
         """It ends when image and Jacobian do not agree, by what a good drive does."""
-        world = self._world
-        if world.estimate is not world.true or world.plant not in ("obeys", "lags"):
+        if self.estimate is not self.true or self.plant not in ("obeys", "lags"):
             return
-        speed_m_s = np.linalg.norm(world.true @ world.drive)
+        speed_m_s = np.linalg.norm(self.true @ self.drive)
         self._fastest_m_s = max(self._fastest_m_s, speed_m_s)
         self._way_m += speed_m_s * dt_s
         # It is found after 3 cm of predicted motion; an arm that is fast needs half a second, too,
         # and a slow camera six images.
-        least_m = 0.03 + max(0.5, 6.0 * world.image_period_s()) * self._fastest_m_s
-        if world.seen_share == 0.0:
-            astray_m = np.linalg.norm(world.arm_moved_m() - self._from_m)
+        least_m = 0.03 + max(0.5, 6.0 * self.image_period_s()) * self._fastest_m_s
+        if self.seen_share == 0.0:
+            astray_m = np.linalg.norm(self.arm_moved_m() - self._from_m)
             keep("a frozen image is held", astray_m < least_m, astray_m)
-        elif world.seen_share == -1.0 and world.values["prediction_hold"] < 1.5:
+        elif self.seen_share == -1.0 and self.values["prediction_hold"] < 1.5:
             least_m += SupervisorConfig.prediction_hold_m
             keep("a wrong Jacobian is held", self._way_m < least_m, self._way_m)
 

@@ -97,7 +97,6 @@ class World:
         topic = topics.POSITION_COMMANDS if self.positions else topics.COMMANDS
         self.wire = self.node.published[topic.name]  # commands since the last tick
         self.goes_to = None  # the last position command of a session, rad
-        self.judge = lambda command, now_s, dt_s: None
         self.names = tuple(self.values["joint_names"])
         self.last = self.before = np.zeros(joints)  # the last two commands, rad/s
         # the arm, the camera, the estimator
@@ -131,6 +130,9 @@ class World:
         self.moving_ticks += bool(self.last.any())
         self.judge(command, now_s, dt_s)
         self.wire.clear()
+
+    def judge(self, command, now_s, dt_s):
+        """Judge a tick: its command, the steady clock and the time step, s."""
 
     def end_session(self):
         """From here on a motion needs a start."""
