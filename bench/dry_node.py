@@ -23,7 +23,7 @@ class DryNode(FvsNode):
     status_heard = True
     subscribe = watch = tell = staticmethod(_nothing)
 
-    def __init__(self, name, parameters):  # rclpy's own is left out on purpose
+    def __init__(self, name, parameters, _namespace):  # rclpy's own is left out on purpose
         self._name = self._declared_name = name
         self.parameter_set = ParameterSet(parameters)
         self.values = self.parameter_set.values(self.given)
