@@ -54,12 +54,7 @@ setup(
         (f"share/{PACKAGE}", ["package.xml"]),
         (
             f"share/{PACKAGE}/config",
-            [
-                *sorted(glob("config/*.yaml")),
-                "config/foxglove.json",
-                "config/fvs.rviz",
-                "config/quick_discovery.xml",
-            ],
+            [*sorted(glob("config/*.yaml")), "config/fvs.rviz", "config/quick_discovery.xml"],
         ),
         (f"share/{PACKAGE}/config/robots", sorted(glob("config/robots/*.urdf"))),
         (f"share/{PACKAGE}/config/models", sorted(glob("config/models/*.npz"))),

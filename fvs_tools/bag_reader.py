@@ -112,12 +112,12 @@ def _find(path: Path) -> tuple[list[Path], Mapping[str, Any], bool]:
     folder = path if path.is_dir() else path.parent
     metadata = _yaml(folder / _METADATA).get("rosbag2_bagfile_information", {})
     notes = metadata.get("custom_data") or _yaml(folder / NOTES)
-    if path.is_file() and path.name != _METADATA:
-        return [path], notes, not metadata and path.suffix == _SQLITE
-    named = [folder / Path(name).name for name in metadata.get("relative_file_paths", [])]
-    # Who unpacks or renames a file seldom writes so into the metadata.
-    present = [file for file in named if file.exists()] or sorted(folder.iterdir())
-    files = [file for file in present if _kind(file)]
+    files, named = [path], list[Path]()
+    if path.is_dir() or path.name == _METADATA:
+        named = [folder / Path(name).name for name in metadata.get("relative_file_paths", [])]
+        # Who unpacks or renames a file seldom writes so into the metadata.
+        present = [file for file in named if file.exists()] or sorted(folder.iterdir())
+        files = [file for file in present if _kind(file)]
     if not files:
         raise BagError(f"it holds neither {_METADATA} nor an {_MCAP} file")
     # A database without metadata lacks what was still in the recorder's memory.

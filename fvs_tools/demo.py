@@ -23,6 +23,7 @@ class DemoConfig(KindConfig):
         "trained model; targets are positions from its training data; empty: that of the simulated "
         "UR5",
     )
+    tf_prefix: str = parameter("", "prefix of the joint names, like a UR driver's")
     targets: int = parameter(4, "number of targets", 1, 100)
     seed: int = parameter(0, "seed of the choice of targets", 0)
     distance_m: float = parameter(0.3, "wanted distance from one target to the next", 0.05, 1.0)

@@ -31,9 +31,9 @@ class DemoNode(ros.FvsNode):
         config = self._config
         self._kind = kind = config.kind
         trained = load_model(find_file(config.model_path or kind.model), expected=config)
-        self._candidates, names = trained.z_samples, trained.joint_names
+        self._candidates = trained.z_samples
         self._rng = np.random.default_rng(self._config.seed)
-        self._joint_map = JointMap(names)
+        self._joint_map = JointMap(trained.joint_names, config.tf_prefix)
         self._records: list[demo.TargetRecord] = []
         self._state = self._reason = ""
         self._wants_target = False

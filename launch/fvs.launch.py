@@ -17,6 +17,7 @@ from launch.actions import (
 from launch.substitutions import LaunchConfiguration
 
 from fvs_ros.paths import find_file, program
+from fvs_ros.urdf import kinematics, read_joints
 from fvs_sim_node.robot import robot_description, robot_of
 from fvs_tools.scenario import load_scenario
 
@@ -42,12 +43,13 @@ def _viewer(arguments):
     common = {"namespace": arguments["namespace"], "remappings": remaps}
     scenario = load_scenario(arguments["scenario"], arguments["param"].split(), arguments["scheme"])
     prefix = next((v["tf_prefix"] for v in scenario.values() if "tf_prefix" in v), "")
-    rviz = ["-d", str(find_file("fvs.rviz")), "-f", f"{prefix}base_link"]
-    actions = [Node(package="rviz2", executable="rviz2", arguments=rviz, **common)]
+    actions, root = [], "base_link"
     if "fvs_sim_node" in scenario:
         values = scenario["fvs_sim_node"]
         which = [values.get(name, "") for name in ("robot", "urdf_path", "ball_link")]
-        text = robot_description(robot_of(*which), prefix)
+        robot = robot_of(*which)
+        root = kinematics(read_joints(robot.file().read_bytes()), robot.ball_link).root
+        text = robot_description(robot, prefix)
         parameters = {
             "robot_description": ParameterValue(text, value_type=str),
             "use_sim_time": values.get("use_sim_time", False),
@@ -57,7 +59,8 @@ def _viewer(arguments):
         # A simulated arm must not exchange messages with the robots of a laboratory network.
         local = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         actions.insert(0, SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", local))
-    return actions
+    rviz = ["-d", str(find_file("fvs.rviz")), "-f", prefix + root]
+    return [*actions, Node(package="rviz2", executable="rviz2", arguments=rviz, **common)]
 
 
 def _nodes(context):

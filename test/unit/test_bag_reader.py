@@ -122,6 +122,11 @@ def test_a_file_that_is_broken_within_is_said_to_be_cut_off(tmp_path, whole):
     assert 0 < len(content(path, cut_off=True)) < len(whole)
 
 
+def test_a_database_without_metadata_is_cut_off_packed_or_not(tmp_path, whole):
+    (path,) = without_metadata(packed(tmp_path / "bag", StoragePlugin.SQLITE3)).iterdir()
+    assert content(path, cut_off=True) == whole
+
+
 def test_a_lost_part_is_said_and_the_rest_is_read(tmp_path, whole):
     folder = made(tmp_path / "bag")
     text = (folder / "metadata.yaml").read_text()
