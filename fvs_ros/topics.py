@@ -218,7 +218,7 @@ COLOR_IMAGE = Topic(
     "sensor_msgs/msg/Image",
     "Colour image, of any encoding.",
     (SIM,),
-    (DETECTOR, DASHBOARD, CALIBRATE),
+    (DETECTOR, DASHBOARD),
     also_from=_CAMERA,
     asks=(Qos.RELIABLE,),
 )
@@ -252,7 +252,7 @@ CAMERA_INFO = Topic(
     "sensor_msgs/msg/CameraInfo",
     "The colour camera's model, at the image rate.",
     (SIM,),
-    (DETECTOR, DASHBOARD, CALIBRATE),
+    (DETECTOR, DASHBOARD),
     also_from=_CAMERA,
 )
 STATUS = Topic(
@@ -271,10 +271,10 @@ CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", "Simulated time, with `simula
 TF_STATIC = Topic(
     "/tf_static",
     "tf2_msgs/msg/TFMessage",
-    "Pose of the simulated camera in the robot's root link, or, with `stay`, of the calibrated "
-    "one; if `tf2_msgs` is installed.",
-    (SIM, CALIBRATE),
+    "Pose of the camera in the robot's root link; the simulator's if `tf2_msgs` is installed.",
+    (SIM,),
     (DASHBOARD,),
+    also_from="static_transform_publisher",
     offers=Qos.LATCHED,
     asks=(Qos.LATCHED,),
 )

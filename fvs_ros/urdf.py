@@ -268,8 +268,6 @@ class Kinematics:
     tip_m: np.ndarray  # (3,)
     #: Whether zeros and links are exact: of a hand whose pose is measured.
     exact: bool = False
-    #: Where the links are that no joint moves, before the first that does, m.
-    base_m: tuple[tuple[float, ...], ...] = ()
 
     def chain(self, feature_m: np.ndarray) -> SerialChain:
         """The arm with what it carries, given at zero in the root's frame, m, (m,)."""
@@ -317,7 +315,7 @@ def kinematics(
     tip, moving = moving_chain(joints, link, known)
     path = _path({joint.child: joint for joint in joints.values()}, tip)
     rotation, point_m = np.eye(3), np.zeros(3)
-    axes, points_m, base_m = [], [], [(0.0, 0.0, 0.0)]
+    axes, points_m = [], []
     for joint in path:
         point_m = point_m + rotation @ np.array(joint.xyz_m)
         for angle, about in zip(joint.rpy_rad[::-1], np.eye(3)[::-1], strict=True):
@@ -328,8 +326,6 @@ def kinematics(
                 raise ValueError(f"joint {joint.name[:60]!r} of the URDF has no axis")
             axes.append(rotation @ axis / np.linalg.norm(axis))
             points_m.append(point_m)
-        elif not axes:
-            base_m.append(tuple(point_m.tolist()))
     prismatic = np.array([joint.kind == "prismatic" for joint in moving], dtype=float)
     names = tuple(joint.name for joint in moving)
     return Kinematics(
@@ -341,5 +337,4 @@ def kinematics(
         prismatic,
         rotation,
         point_m,
-        base_m=tuple(base_m),
     )

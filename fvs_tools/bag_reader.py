@@ -58,23 +58,13 @@ class BagReader:
         messages = [message for storage in self._storages for message in _messages(storage, chosen)]
         return sorted(messages, key=lambda message: message[1])
 
-    def middle(self, connection: Connection) -> bytes | None:
-        """A message of a topic from the middle of the bag; None if there is none."""
-        ends = [storage.metadata for storage in self._storages]
-        first, last = min(each.start_time for each in ends), max(each.end_time for each in ends)
-        start = (first + last) // 2 if first < last else None  # unknown where a file is broken
-        for storage in self._storages:
-            for _, _, raw in _messages(storage, [connection], start):
-                return raw
-        return None
-
 
 def _messages(
-    storage: Any, connections: Collection[Connection], start: int | None = None
+    storage: Any, connections: Collection[Connection]
 ) -> Iterator[tuple[Connection, int, bytes]]:
     """Messages of a file, in its order."""
     own = [each for each in storage.connections if any(each is other for other in connections)]
-    for connection, time_ns, raw in storage.messages(own, start) if own else ():
+    for connection, time_ns, raw in storage.messages(own) if own else ():
         yield connection, time_ns, zstd.decompress(raw) if bytes(raw[:4]) == _ZSTD else raw
 
 
@@ -180,10 +170,6 @@ class _Mcap(McapReader):
         self.data_start, self.data_end = len(_MAGIC), end
         try:
             self.meta_scan()
-            times: Any = self.statistics
-            self.metadata = self.metadata._replace(
-                start_time=times.start_time, end_time=times.end_time
-            )
         except Exception:  # at the first broken record, of any kind
             self.cut_off = True
 

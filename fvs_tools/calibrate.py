@@ -15,52 +15,51 @@ from fvs_ros.paths import find_file
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_tools.calibration import calibrate, report, verdict, write
-from fvs_tools.overlay import Photograph
 from fvs_tools.table import read_table
 
 
 @console.reader_may_leave()
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
-    given, left_out = _parser().parse_args(argv), ""
+    arguments, left_out = _parser().parse_args(argv), ""
+    output = arguments.output
     try:
-        if not given.output.absolute().parent.is_dir():
-            raise ValueError(f"the folder {given.output.absolute().parent} does not exist")
-        if given.output.suffix == ".png":
-            raise ValueError(f"{given.output}: expected .yaml; the picture is written beside it")
-        data, photo, arm = _inputs(given)
+        if not output.absolute().parent.is_dir():
+            raise ValueError(f"the folder {output.absolute().parent} does not exist")
+        if output.suffix == ".png":
+            raise ValueError(f"{output}: expected .yaml; the picture is written beside it")
+        data, arm = _inputs(arguments)
         left_out = data.provenance.get("left_out", "")
-        estimate = calibrate(data, arm, given.camera_on_arm)
-        write(estimate, given.output, photo)
+        estimate = calibrate(data, arm, arguments.camera_on_arm)
+        write(estimate, output)
     except (ValueError, OSError) as error:
         print(f"fvs_calibrate: {error}{left_out and f' ({left_out})'}", file=sys.stderr)
         return EXIT_BAD_INPUT
-    print(report(estimate, photo))
+    print(report(estimate))
     if left_out:
         print(f"note: {left_out}")
-    print(f"written to {given.output} and {given.output.with_suffix('.png').name}")
+    print(f"written to {output} and {output.with_suffix('.png').name}")
     return EXIT_FAILURE if verdict(estimate)[0] == "unusable" else EXIT_OK
 
 
-def _inputs(given: argparse.Namespace) -> tuple[DataSet, Photograph | None, Kinematics]:
-    if given.data.suffix == ".csv":
-        data, hand = read_table(given.data)
+def _inputs(arguments: argparse.Namespace) -> tuple[DataSet, Kinematics]:
+    if arguments.data.suffix == ".csv":
+        data, hand = read_table(arguments.data)
         if hand is not None:
-            return data, None, hand
-    if not given.urdf:
+            return data, hand
+    if not arguments.urdf:
         raise ValueError("expected the arm's URDF behind --urdf")
-    joints, photo = read_joints(find_file(given.urdf).read_bytes()), None
-    if given.data.suffix == ".npz":
-        data = load_data_set(given.data)
-    elif given.data.suffix != ".csv":
+    joints = read_joints(find_file(arguments.urdf).read_bytes())
+    if arguments.data.suffix == ".npz":
+        data = load_data_set(arguments.data)
+    elif arguments.data.suffix != ".csv":
         if importlib.util.find_spec("rosbags") is None:
             raise ValueError(f"a bag needs rosbags: {how_to_install('record', ['rosbags'])}")
-        from fvs_tools.recorded import read_data_set, read_photograph
+        from fvs_tools.recorded import read_data_set
 
-        names = kinematics(joints, given.tip).names
-        data = read_data_set(given.data, names, given.joint_states, given.seen)
-        photo = read_photograph(given.data, data.feature_frame)
-    return data, photo, kinematics(joints, given.tip, data.joint_names)
+        names = kinematics(joints, arguments.tip).names
+        data = read_data_set(arguments.data, names, arguments.joint_states, arguments.seen)
+    return data, kinematics(joints, arguments.tip, data.joint_names)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -9,25 +9,20 @@ stop.listen()
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from sensor_msgs.msg import CameraInfo, Image, JointState
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from fvs_estimator_node.files import data_set_of
 from fvs_ros import ros, topics
-from fvs_ros.camera import CameraModel
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
-from fvs_ros.kinds.pose import Pose
-from fvs_ros.ros.images import from_color, sampled_camera
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_tools.calibrating import PARAMETERS, CalibrateConfig
 from fvs_tools.calibration import calibrate, report, verdict, write
 from fvs_tools.hand_eye import Estimate
-from fvs_tools.overlay import Photograph
 
 _POLL_S = 0.5
 #: First calibration after this time of motion, s, and least time to the next one.
@@ -53,8 +48,6 @@ class CalibrateNode(ros.FvsNode):
         #: Why joints and feature are not taken; empty while they are.
         self._no_joints = f"no {topics.JOINT_STATES.name} yet"
         self._no_feature = f"no {self._kind.topics.tool.name} yet"
-        self._camera: CameraModel | None = None
-        self._photo: Photograph | None = None
         if config.urdf_path:
             self._describe(Path(config.urdf_path).read_bytes())
         else:
@@ -103,15 +96,6 @@ class CalibrateNode(ros.FvsNode):
         self._no_feature = ""
         self._add(self._timeline.add_image(ros.from_stamp(message.header.stamp), z))
 
-    def _on_camera_info(self, message: CameraInfo) -> None:
-        self._camera = ros.from_camera_info(message)
-
-    def _on_image(self, message: Image) -> None:
-        if self._camera is None or message.header.frame_id != self._config.feature_frame:
-            return
-        stamp_s = ros.from_stamp(message.header.stamp)
-        self._photo = Photograph.of(from_color(message), self._camera, stamp_s)
-
     def _add(self, samples: list[Sample]) -> None:
         self._samples += samples[: _MOST - len(self._samples)]
 
@@ -127,13 +111,9 @@ class CalibrateNode(ros.FvsNode):
         while self._arm is None or not self._samples:
             yield
         ends_s = self.now_s() + self._config.duration_s
-        images = sampled_camera(
-            self, self._config.camera_topics, self._on_image, self._on_camera_info
-        )
         good, next_s = 0, _FIRST_S
         while good < 2:
             while (late := self.now_s() > ends_s) is False and self._motion_s < next_s:
-                self._photograph(images)
                 yield
             next_s = self._motion_s + _PERIOD_S
             data = data_set_of(
@@ -161,39 +141,17 @@ class CalibrateNode(ros.FvsNode):
                 break
         self._conclude()
 
-    def _photograph(self, images: list[ros.Sampled]) -> None:
-        """Take one image and its camera, for the picture."""
-        for topic in images:
-            with suppress(ValueError):  # the picture does without
-                topic.look()
-        while images and self._photo is not None:
-            images.pop().close()
-
     def _conclude(self) -> None:
-        """Write and publish the estimate."""
+        """Write the estimate."""
         estimate = self._estimate
         if estimate is None:
             print(f"no calibration: {self._waits_for}", file=sys.stderr, flush=True)
             self.exit_code = stop.EXIT_FAILURE
             return
-        write(estimate, self._path, self._photo)
-        print(f"{report(estimate, self._photo)}\nwritten to {self._path}", flush=True)
-        if verdict(estimate)[0] == "unusable":
-            self.exit_code = stop.EXIT_FAILURE
-        elif self._config.stay and self._publish_transform(estimate):
-            self._reason = "the transform is on /tf_static"
-        else:
-            self.exit_code = stop.EXIT_OK
-
-    def _publish_transform(self, estimate: Estimate) -> bool:
-        """Publish it for as long as the node runs; False if that is not possible."""
-        pose = estimate.base_from_camera
-        z = Pose().of_body(pose[:3, 3], pose[:3, :3])
-        message = ros.to_feature(self.ros_s(), estimate.model.arm.root, Pose(), z)
-        if self.publish_transform(message, estimate.model.data.feature_frame):
-            return True
-        print("tf2_msgs is not installed: publish it by the command above", file=sys.stderr)
-        return False
+        write(estimate, self._path)
+        print(f"{report(estimate)}\nwritten to {self._path}", flush=True)
+        unusable = verdict(estimate)[0] == "unusable"
+        self.exit_code = stop.EXIT_FAILURE if unusable else stop.EXIT_OK
 
     @property
     def _waits_for(self) -> str:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fvs_ros.camera import CameraTopicsConfig
 from fvs_ros.kinds import KindConfig
 from fvs_ros.params import parameter
 
 
 @dataclass(frozen=True)
-class CalibrateConfig(KindConfig, CameraTopicsConfig):
+class CalibrateConfig(KindConfig):
     """Parameters of ``fvs_calibrate_node``."""
 
     urdf_path: str = parameter("", "URDF of the arm; empty: robot_description")
@@ -21,17 +20,14 @@ class CalibrateConfig(KindConfig, CameraTopicsConfig):
     output_path: str = parameter(
         "out/calibrate/camera.yaml", "file to write; a picture of the same name is put beside it"
     )
-    stay: bool = parameter(
-        False, "stay when the camera is known, and keep the transform on /tf_static"
-    )
     duration_s: float = parameter(
         120.0, "time after the first image in which the motion has to be enough, s", 10.0, 3600.0
     )
     stop_at_m: float = parameter(
-        0.0005, "deviation of the camera's place that is good enough, m", 1e-5, 1.0
+        0.0005, "standard deviation of the camera's position that is good enough, m", 1e-5, 1.0
     )
     stop_at_rad: float = parameter(
-        0.001, "deviation of its turn that is good enough, rad", 1e-5, 1.0
+        0.001, "standard deviation of its rotation that is good enough, rad", 1e-5, 1.0
     )
 
 

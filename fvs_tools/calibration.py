@@ -7,11 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import yaml
-from scipy.spatial.transform import Rotation
 
 from fvs_estimator_node import joint_path
 from fvs_estimator_node.files import DataSet
@@ -20,8 +18,8 @@ from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.timeline import MAX_GAP_S
 from fvs_ros.urdf import Kinematics
 from fvs_ros.vectors import LARGEST, plausible
+from fvs_tools.calibration_figure import draw
 from fvs_tools.hand_eye import Estimate, solve
-from fvs_tools.overlay import Photograph, draw, residual_px
 
 #: Standard deviations of the camera's position, m, and rotation, rad.
 GOOD, USABLE = (0.001, np.radians(0.1)), (0.01, np.radians(1.0))
@@ -121,13 +119,6 @@ def verdict(estimate: Estimate) -> tuple[str, str]:
             f"{model.arm.names[int(zeros_rad.argmax())]} differs from the URDF by more than 10 "
             "degrees: are joints swapped or mirrored?"
         )
-    away_m = np.reshape(model.arm.base_m, (-1, 3)) - estimate.base_from_camera[:3, 3]
-    in_base_m = max(GOOD[0], 3.0 * min(deviations[0], USABLE[0]))
-    if np.linalg.norm(away_m, axis=1).min(initial=np.inf) < in_base_m:
-        return "unusable", (
-            f"{model.data.feature_frame} is where the arm's base is: these are poses that the "
-            "robot says it has, not what a camera sees; name the topic of ball or tag"
-        )
     if np.all(np.less(deviations, GOOD)):
         return "good", known
     word = "poor" if np.all(np.less(deviations, USABLE)) else "unusable"
@@ -183,11 +174,10 @@ def notes(estimate: Estimate) -> Iterator[str]:
         yield _links(estimate)
 
 
-def report(estimate: Estimate, photo: Photograph | None = None) -> str:
-    """The printed summary; residuals in pixels with the camera of a photograph."""
+def report(estimate: Estimate) -> str:
+    """The printed summary."""
     word, reason = verdict(estimate)
     model, mean, deviation = estimate.model, estimate.mean, estimate.deviation
-    pixels = "" if photo is None else f", {residual_px(estimate, photo.camera):.2f} px"
     position, quaternion = (
         ", ".join(f"{number:.5f}" for number in numbers) for numbers in _pose(estimate)
     )
@@ -199,7 +189,7 @@ def report(estimate: Estimate, photo: Photograph | None = None) -> str:
         f"{model.kind.what} in {model.arm.tip}: {model.kind.text(estimate.target)}",
         f"images stamped late: {round(1e3 * mean.delay_s.item(), 1) + 0.0:.1f} +- "  # no -0.0
         f"{1e3 * deviation.delay_s.item():.1f} ms",
-        f"residual {1e3 * estimate.median_residual_m:.2f} mm{pixels} (median); "
+        f"residual {1e3 * estimate.median_residual_m:.2f} mm (median); "
         f"{len(model.measured)} images, {estimate.outliers} outliers",
         *(f"note: {note}" for note in notes(estimate)),
         *([] if word == "unusable" else ["", static_transform(estimate)]),
@@ -223,22 +213,7 @@ def static_transform(estimate: Estimate) -> str:
     return f"ros2 run tf2_ros static_transform_publisher {words} {frames}"
 
 
-def urdf_joint(estimate: Estimate) -> str:
-    """A joint that puts the camera's frame into a URDF."""
-    pose, frame = estimate.base_from_camera, estimate.model.data.feature_frame
-    position = " ".join(f"{number:.6f}" for number in pose[:3, 3])
-    angles = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz")
-    rpy = " ".join(f"{angle:.6f}" for angle in angles)
-    camera, parent = quoteattr(frame), quoteattr(estimate.model.arm.root)
-    return (
-        f"<link name={camera}/>\n"
-        f'<joint name={quoteattr(frame + "_joint")} type="fixed">\n'
-        f"  <parent link={parent}/>\n  <child link={camera}/>\n"
-        f'  <origin xyz="{position}" rpy="{rpy}"/>\n</joint>\n'
-    )
-
-
-def _content(estimate: Estimate, photo: Photograph | None) -> dict[str, Any]:
+def _content(estimate: Estimate) -> dict[str, Any]:
     word, reason = verdict(estimate)
     model, (position_m, quaternion) = estimate.model, _pose(estimate)
 
@@ -267,13 +242,11 @@ def _content(estimate: Estimate, photo: Photograph | None) -> dict[str, Any]:
         "images": len(model.measured),
         "outliers": estimate.outliers,
         "residual_m": float(estimate.median_residual_m),
-        "residual_px": None if photo is None else residual_px(estimate, photo.camera),
         "static_transform": static_transform(estimate),
-        "urdf": urdf_joint(estimate),
     }
 
 
-def write(estimate: Estimate, path: Path, photo: Photograph | None = None) -> None:
-    """Write the file, and the picture beside it: over a photograph, if there is one."""
-    path.write_text(yaml.safe_dump(_content(estimate, photo), sort_keys=False), encoding="utf-8")
-    draw(estimate, photo, verdict(estimate)[0]).savefig(path.with_suffix(".png"), dpi=110)
+def write(estimate: Estimate, path: Path) -> None:
+    """Write the file, and the picture beside it."""
+    path.write_text(yaml.safe_dump(_content(estimate), sort_keys=False), encoding="utf-8")
+    draw(estimate, verdict(estimate)[0]).savefig(path.with_suffix(".png"), dpi=110)

@@ -193,8 +193,8 @@ def _optimum(model: HandEyeModel, prior: Unknowns, start: np.ndarray) -> np.ndar
     limit = limit[: len(deviation)]
 
     def residuals(values: np.ndarray) -> np.ndarray:
-        off = model.features(np.append(values, links), images) - measured
-        return np.append(white @ off[..., None], values / deviation)
+        errors = model.features(np.append(values, links), images) - measured
+        return np.append(white @ errors[..., None], values / deviation)
 
     solution = least_squares(
         residuals,
@@ -216,11 +216,11 @@ def _posterior(
 
     One normal distribution for each size of the errors, weighted by evidence.
     """
-    off = model.features(values) - model.measured
-    good = inliers(off, model.measured)
-    white = whitening(off, model.measured)[good]
+    errors = model.features(values) - model.measured
+    good = inliers(errors, model.measured)
+    white = whitening(errors, model.measured)[good]
     rows = white @ model.slopes(values)[good]  # (k, m, p)
-    wanted = rows @ values - (white @ off[good][..., None])[..., 0]
+    wanted = rows @ values - (white @ errors[good][..., None])[..., 0]
     equations = np.column_stack([rows.reshape(-1, values.size), wanted.ravel()])
     # With the same sums of squares; in mode "r" the result is one array, whatever its stub says.
     triangle = np.asarray(np.linalg.qr(equations, mode="r"))

@@ -1,4 +1,4 @@
-"""A data set, and a photograph, from a rosbag2 of an arm that was moved by any means."""
+"""A data set from a rosbag2 of an arm that was moved by any means."""
 
 from __future__ import annotations
 
@@ -14,23 +14,21 @@ from fvs_estimator_node.files import DataSet, data_set_of
 from fvs_estimator_node.joint_path import LEAST_RUN, MAX_OFFSET_S
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.kinds import KINDS, Kind
-from fvs_ros.ros import from_camera_info, from_feature, from_stamp
-from fvs_ros.ros.images import from_color
+from fvs_ros.ros import from_feature, from_stamp
 from fvs_ros.timeline import History, Sample, Timeline
 from fvs_ros.topics import JOINT_STATES
 from fvs_tools.bag import TYPES
 from fvs_tools.bag_reader import open_bag
-from fvs_tools.overlay import Photograph
 
 #: Kinds by the type of their message.
 _KINDS = {kind.topics.tool.type: kind() for kind in KINDS.values()}
-_JOINTS, _IMAGE = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Image"
+_JOINTS = "sensor_msgs/msg/JointState"
 #: Joints that move by less, rad (m), stand still: some times an encoder's noise.
 _REST_RAD = 1e-3
 
 
 def read_data_set(
-    path: Path, names: Sequence[str], joint_states: str = "", seen: str = ""
+    path: Path, names: Sequence[str], joint_states: str = "", feature: str = ""
 ) -> DataSet:
     """Joints at the exposures of the images in which a ball or tag was seen.
 
@@ -42,7 +40,7 @@ def read_data_set(
         Folder of a rosbag2, or its one file.
     names : sequence of str
         The arm's joints, base to tip; last ones may be missing, as a gripper's.
-    joint_states, seen : str
+    joint_states, feature : str
         Topics, where there are several; by default those that end as this package's.
 
     Raises
@@ -54,7 +52,7 @@ def read_data_set(
         types = {each.topic: each.msgtype for each in reader.connections}
         joints = _topic(types, joint_states, (_JOINTS,), (JOINT_STATES.name,))
         tools = [kind.topics.tool for kind in KINDS.values()]
-        feature = _topic(types, seen, [*_KINDS], [topic.name for topic in tools])
+        feature = _topic(types, feature, [*_KINDS], [topic.name for topic in tools])
         wanted = [each for each in reader.connections if each.topic in (joints, feature)]
         messages = [
             (connection.topic == joints, TYPES.deserialize_cdr(raw, connection.msgtype))
@@ -62,28 +60,6 @@ def read_data_set(
         ]
         notes = ["the bag was cut off, or a part of it is missing"] * reader.cut_off
     return _paired(messages, names, _KINDS[types[feature]], path, notes)
-
-
-def read_photograph(path: Path, frame: str) -> Photograph | None:
-    """A colour image of the camera with this frame, from the middle of a rosbag2, if it has one."""
-    with open_bag(path) as reader:
-        of = {each.topic: each for each in reader.connections}
-        for image in reader.connections:
-            info = of.get(image.topic.rsplit("/", 1)[0] + "/camera_info")
-            if image.msgtype != _IMAGE or info is None:
-                continue
-            raw, raw_info = reader.middle(image), reader.middle(info)
-            if raw is None or raw_info is None:
-                continue
-            photo: Any = TYPES.deserialize_cdr(raw, image.msgtype)
-            camera: Any = TYPES.deserialize_cdr(raw_info, info.msgtype)
-            if photo.header.frame_id != frame:
-                continue
-            with suppress(ValueError):  # a depth image, or a lens that is not known
-                return Photograph.of(
-                    from_color(photo), from_camera_info(camera), from_stamp(photo.header.stamp)
-                )
-    return None
 
 
 def _topic(types: dict[str, str], wanted: str, kinds: Sequence[str], names: Sequence[str]) -> str:

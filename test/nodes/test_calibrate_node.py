@@ -36,7 +36,6 @@ def test_the_camera_is_found_while_the_arm_moves(ros_test, tmp_path):
     content = yaml.safe_load(out.read_text())
     np.testing.assert_allclose(content["translation_m"], CAMERAS["front"].position_m, atol=6e-3)
     assert content["verdict"] == "good"
-    assert 0.0 < content["residual_px"] < 1.0  # of the image over which the arm is drawn
     assert "static_transform_publisher" in ros_test.output(calibrating)
     assert any("the camera is known to" in status.message for status in states)
 

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from fvs_estimator_node.files import DataSet, save_data_set
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
-from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.paths import find_file
 from fvs_ros.rotations import rotation_angle_rad
@@ -20,9 +19,9 @@ from fvs_ros.urdf import kinematics, read_joints
 from fvs_sim_node.camera import CAMERAS
 from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_tools import calibrate as program
-from fvs_tools.calibration import CalibrationError, calibrate, notes, static_transform, urdf_joint
+from fvs_tools.calibration import CalibrationError, calibrate, notes, static_transform
 from fvs_tools.calibration import verdict as verdict_of
-from fvs_tools.overlay import Photograph, draw
+from fvs_tools.calibration_figure import draw
 
 URDF = find_file("robots/ur5.urdf")
 ARM = kinematics(read_joints(URDF.read_text("utf-8")))
@@ -246,25 +245,16 @@ def test_a_camera_that_the_motion_does_not_tell_is_unusable():
     assert "move all joints further, shoulder_pan_joint first" in reason
 
 
-def test_the_arm_is_drawn_where_the_image_shows_it():
-    """Through delay, zeros and focal length, at the joints of the exposure."""
-    delay_s, at = 0.05, 300
-    data = lens(collected(delay_s=delay_s, seconds=15.0), 1.005)
+def test_the_arm_is_drawn_where_the_camera_sees_it():
+    """Through zeros and focal length, at the mean joints."""
+    data = lens(collected(seconds=15.0), 1.005)
     reported = replace(data, joints_rad=data.joints_rad - [0, 0, 0.02, 0, 0, 0])
-    estimate = calibrate(reported, ARM)
-    camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
-    photo = Photograph.of(np.zeros((480, 640, 3), np.uint8), CameraModel(camera), data.stamps_s[at])
-    drawn = draw(estimate, photo).axes[0].lines[-1].get_xydata()
-    joints = np.array(
-        [np.interp(photo.stamp_s - delay_s, data.stamps_s, path) for path in data.joints_rad.T]
-    )
+    drawn = draw(calibrate(reported, ARM)).axes[0].lines[-1].get_xydata()
+    joints = data.joints_rad.mean(axis=0)
     axes, tip_m = ARM.tip_at(joints)
     points_m = np.vstack([ARM.at(joints)[0], tip_m, tip_m + TAG[0] @ axes])
     seen_m = (points_m - CAMERA.position_m) @ CAMERA.rotation
-    true = Intrinsics(640, 480, 603.0, 603.0, 320.0, 240.0).project(seen_m)
-    np.testing.assert_allclose(drawn, true, atol=0.5)
-    with pytest.raises(ValueError, match="the image has 320x240 pixels, its camera_info 640x480"):
-        Photograph.of(np.zeros((240, 320, 3), np.uint8), CameraModel(camera), 0.0)
+    np.testing.assert_allclose(drawn, 1.005 * seen_m[:, :2] / seen_m[:, 2:], atol=1e-3)
 
 
 # --- the program ---
@@ -282,7 +272,6 @@ def test_the_program_writes_transform_picture_and_command(tmp_path, capsys):
     assert rotation_angle_rad(turn.T @ CAMERA.rotation) < 2e-3
     assert content["static_transform"] in printed
     assert "--frame-id base_link --child-frame-id" in printed
-    assert '<parent link="base_link"/>' in content["urdf"]
     assert np.array(content["covariance"]).shape == (6, 6)
     assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
 
@@ -291,7 +280,6 @@ def test_names_of_frames_do_no_harm(tmp_path):
     data = replace(collected(seconds=10.0), feature_frame='cam"; touch x; <b>')
     estimate = calibrate(data, ARM)
     assert "--child-frame-id 'cam\"; touch x; <b>'" in static_transform(estimate)
-    assert "&lt;b&gt;" in urdf_joint(estimate)
 
 
 @pytest.mark.parametrize(
@@ -310,20 +298,3 @@ def test_bad_arguments_are_refused(tmp_path, capsys, options, words):
     assert program.main(arguments) == 2
     assert words in capsys.readouterr().err
     assert not (tmp_path / "camera.yaml").exists()
-
-
-def test_what_the_robot_says_of_its_tool_is_no_tag():
-    on_a_table = (
-        '<joint name="stands" type="fixed"><parent link="world"/><child link="base_link"/>'
-        '<origin xyz="0.5 0 0.8"/></joint></robot>'
-    )
-    arm = kinematics(read_joints(URDF.read_text("utf-8").replace("</robot>", on_a_table)))
-    data, pose, half_turn = collected(seconds=20.0), Pose(0.3), np.diag([-1.0, -1.0, 1.0])
-    tips = (  # in a UR's "base"
-        pose.of_body(half_turn @ (tip_m - [0.5, 0.0, 0.8]), half_turn @ axes.T)
-        for axes, tip_m in zip(*arm.tip_at(data.joints_rad), strict=True)
-    )
-    data = replace(data, z=np.array([*tips]), feature="pose", feature_frame="base")
-    word, reason = verdict_of(calibrate(data, arm))
-    assert word == "unusable"
-    assert "base is where the arm's base is" in reason

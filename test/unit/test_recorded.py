@@ -4,24 +4,19 @@ import re
 
 import numpy as np
 import pytest
-import yaml
-from replayed_bags import BEGIN_S, T, header, joint_states, message, point
+from replayed_bags import joint_states, point
 from test_calibration import ARM, URDF, collected, errors
 
 from fvs_tools.bag import Bag
 from fvs_tools.calibrate import main
 from fvs_tools.calibration import calibrate
-from fvs_tools.recorded import read_data_set, read_photograph
+from fvs_tools.recorded import read_data_set
 
 
 @pytest.fixture
 def bag(tmp_path):
-    return recorded(tmp_path / "bag")
-
-
-def recorded(folder, photograph=False):
     """Joints in another order, with one more, and a ball; and joints of a gripper."""
-    data, bag = collected(seconds=20.0), Bag(folder, {})
+    data, bag = collected(seconds=20.0), Bag(tmp_path / "bag", {})
     names = [*ARM.names[::-1], "finger"]
     for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.z, strict=True):
         at = stamp_s, stamp_s
@@ -29,22 +24,8 @@ def recorded(folder, photograph=False):
         bag.write(joint_states(*at, names, angles, topic="arm/joint_states"))
         bag.write(joint_states(*at, ["finger"], [0.0], topic="gripper"))
         bag.write(point("arm/ball_position", *at, ball))
-    if photograph:
-        info, image = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Image"
-        roi = T["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-        k = np.array([600.0, 0, 320, 0, 600, 240, 0, 0, 1])
-        numbers = np.empty(0), k, np.eye(3).ravel(), np.zeros(12)
-        model = 480, 640, "plumb_bob", *numbers, 0, 0, roi
-        depth = 480, 640, "16UC1", 0, 1280, np.zeros(2 * 640 * 480, np.uint8)
-        pixels = np.tile(np.array([10, 20, 200], np.uint8), 640 * 480)
-        color = 480, 640, "bgr8", 0, 1920, pixels
-        for stamp_s in data.stamps_s[::30]:
-            for camera, content in (("depth/image", depth), ("color/image_raw", color)):
-                info_topic = f"eye/{camera.split('/')[0]}/camera_info"
-                bag.write(message(info_topic, info, stamp_s, header(stamp_s), *model))
-                bag.write(message(f"eye/{camera}", image, stamp_s, header(stamp_s), *content))
     bag.close()
-    return folder
+    return tmp_path / "bag"
 
 
 def test_a_bag_of_any_arm_calibrates_its_camera(bag):
@@ -55,23 +36,10 @@ def test_a_bag_of_any_arm_calibrates_its_camera(bag):
     assert errors(calibrate(data, ARM))[0] < 2e-3
 
 
-def test_the_arm_is_drawn_over_an_image_of_the_bag(tmp_path, capsys):
-    folder, out = recorded(tmp_path / "bag", photograph=True), tmp_path / "camera.yaml"
-    photo = read_photograph(folder, "camera")
-    assert photo.rgb[0, 0].tolist() == [200, 20, 10]
-    assert photo.camera.fx == 600.0
-    assert 5.0 < photo.stamp_s - BEGIN_S < 15.0
-    assert read_photograph(folder, "another") is None
-    assert main([str(folder), "--urdf", str(URDF), "-o", str(out)]) == 0
-    # The noise of 0.2 mm in each direction, seen from 1.3 m: 600 px * 0.2 / 1300 * 1.18.
-    assert 0.05 < yaml.safe_load(out.read_text())["residual_px"] < 0.2
-    assert " px (median)" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("topics", "words"),
     [
-        ({"seen": "/nowhere"}, "0 topics of PointStamped or PoseStamped called /nowhere"),
+        ({"feature": "/nowhere"}, "0 topics of PointStamped or PoseStamped called /nowhere"),
         ({"joint_states": "/gripper"}, r"joint_states names \['finger'\], none of the wanted"),
     ],
 )

@@ -144,11 +144,12 @@ def test_a_table_of_hand_poses_needs_no_urdf_and_no_common_clock(tmp_path):
         ("a,x,y,z\n1,2,,4", "line 2 lacks a number"),
         ("a,x,y,z\n1,2,3,4\ninf,2,3,4", "line 3 lacks a number of a"),
         ("stamp_s,a,x,y,z\n1,1,2,3,4\n,1,2,3,4", "line 3 lacks a stamp_s"),
-        ("a,x,y,z,image\n1,2,3,4,a.png", "column image: expected a number"),
+        ("a,x,y,z,image\n1,2,3,4,a.png", "line 2 lacks a number of a, image"),
+        ("a,x,y,z\n1,2,3,4\n1,2", "got 2 columns instead of 4"),
         ("a,x,y,z\n1,2,3,4\n2,,,", "1 of 1 images"),
         ("a,x,y,z,qx,qy,qz,qw\n1,2,3,4,0,0,0,2", "is no pose"),
         ("stamp_s,a,x,y,z\n1,1,,,\n3,,1,1,1", "0 of 1 images"),
-        ("", "of a joint"),
+        ("", "no line below"),
     ],
 )
 def test_a_table_that_cannot_be_read_is_refused_in_words(tmp_path, text, words):
