@@ -52,8 +52,8 @@ class Controller:
 class Trace:
     """The last seconds of some numbers, ``columns`` at a time."""
 
-    def __init__(self, length_s: float, columns: int) -> None:
-        self._length_s, self._columns = length_s, columns
+    def __init__(self, columns: int) -> None:
+        self._columns = columns
         self._rows: deque[np.ndarray] = deque()
 
     def add(self, now_s: float, values: np.ndarray) -> None:
@@ -63,7 +63,7 @@ class Trace:
 
     def window(self, now_s: float) -> np.ndarray:
         """Time before now (s, negative) and numbers, shape (n, 1 + columns), oldest first."""
-        while self._rows and self._rows[0][0] < now_s - self._length_s:
+        while self._rows and self._rows[0][0] < now_s - HISTORY_S:
             self._rows.popleft()
         rows = np.array(self._rows).reshape(-1, 1 + self._columns)
         rows[:, 0] -= now_s
@@ -77,11 +77,9 @@ class Board:
         self._newest: dict[str, tuple[float, Any]] = {}
         #: Curves: distance to the target and its parts x, y, z, mm; joint speeds, rad/s; one-step
         #: prediction error over that of predicting rest.
-        self.error_mm = Trace(HISTORY_S, 4)
-        self.speed_rad_s = Trace(HISTORY_S, n_joints)
-        self.ratio = Trace(HISTORY_S, 1)
-        #: Where the feature was in the last 6 s, camera frame, m.
-        self.trail_m = Trace(6.0, 3)
+        self.error_mm = Trace(4)
+        self.speed_rad_s = Trace(n_joints)
+        self.ratio = Trace(1)
         #: Frame and pose in it, (4, 4), m, of the camera; None while not known.
         self.camera: tuple[str, np.ndarray] | None = None
         #: Parameters of the other nodes, by node; empty for one that does not run.
@@ -96,11 +94,6 @@ class Board:
         """Add joint positions and velocities, kinematic order, shape (n,)."""
         self.note("joint_states", now_s, joints_rad)
         self.speed_rad_s.add(now_s, np.abs(velocity_rad_s))
-
-    def add_feature(self, now_s: float, z: np.ndarray) -> None:
-        """Add a measurement of the feature, camera frame, (m,)."""
-        self.note("feature", now_s, z)
-        self.trail_m.add(now_s, z[:3])
 
     def add_status(self, now_s: float, controller: Controller) -> None:
         """Add the controller's status."""

@@ -113,7 +113,7 @@ class DashboardNode(ros.FvsNode):
     def _on_feature(self, message: Any) -> None:
         kind, frame = self._kind, self._config.feature_frame
         z = ros.from_feature(message, kind, frame, kind.topics.tool.name)
-        self._board.add_feature(self.steady_s(), z)
+        self._board.note("feature", self.steady_s(), z)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         controller = Controller(ros.from_status(message), message.message)

@@ -68,7 +68,7 @@ def own_requests_only(host: str) -> Iterator[None]:
     """
     serve = server.serve
 
-    def guarded(*args: Any, process_request: Any = None, **given: Any) -> Any:
+    def guarded(*args: Any, process_request: Any = None, **options: Any) -> Any:
         async def check(connection: Any, request: Any) -> Any:
             reason = objection(request.headers, host)
             if reason:
@@ -80,7 +80,7 @@ def own_requests_only(host: str) -> Iterator[None]:
                 answer.headers.update(_UNFRAMED)
             return answer
 
-        return serve(*args, process_request=check, **given)
+        return serve(*args, process_request=check, **options)
 
     server.serve = guarded  # type: ignore[assignment,misc]
     try:

@@ -38,7 +38,7 @@ def in_words(sentence: str) -> str:
     names = "|".join(_BUTTONS)
     return re.sub(
         rf"(call )?(?:its |the estimator's )?~/({names})",
-        lambda found: ("press " if found[1] else "") + _BUTTONS[found[2]],
+        lambda match: ("press " if match[1] else "") + _BUTTONS[match[2]],
         sentence,
     )
 

@@ -104,7 +104,6 @@ class Page:
             image = camera.newest(board.controller(now_s).target_m)
             self._panel.update(board, now_s, image, camera.words(now_s))
             self.scene.update(board, now_s)
-            self.scene.show_picture(camera.field_of_view, image)
             if self._shown % 4 == 0:  # the curves are long and change slowly
                 self._charts.update(board, now_s)
                 tool = self._kind.topics.tool.name

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import atan, inf
+from math import inf
 
 import cv2
 import numpy as np
@@ -28,14 +28,6 @@ class Picture:
     def add_image(self, exposed_s: float, image_rgb: np.ndarray) -> None:
         """Add a camera image, uint8, shape (height, width, 3), exposed then (steady clock)."""
         self._new = exposed_s, image_rgb
-
-    @property
-    def field_of_view(self) -> tuple[float, float]:
-        """The camera's vertical field of view, rad, and its image's width over height."""
-        camera = self.intrinsics
-        if camera is None:
-            return 0.743, 4.0 / 3.0  # a RealSense's, until the camera's own is known
-        return 2.0 * atan(0.5 * camera.height / camera.fy), camera.width / camera.height
 
     def words(self, now_s: float) -> str:
         """The age of an old picture, or why there is none; empty for a new one."""

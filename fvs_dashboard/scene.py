@@ -1,4 +1,4 @@
-"""The 3-D view: arm, camera, ball or tag, trail and target."""
+"""The 3-D view: arm, camera, ball or tag, and target."""
 
 from __future__ import annotations
 
@@ -28,8 +28,6 @@ LEGEND = (
     ("◉", _PREDICTED, "where it is now"),
     ("●", TARGET_RGB, "target: drag it"),
 )
-#: Of the trail, from old to new: a fixed number, which the browser redraws cheaply.
-_TRAIL_COLOURS = np.linspace((60, 64, 72), _PREDICTED, 97)
 
 
 class Scene:
@@ -60,9 +58,8 @@ class Scene:
         # While its pose is unknown: level, looking to where the simulated arm stands.
         level = [[0.0, 0.0, -1.0, 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.4], [0, 0, 0, 1]]
         _set_pose(self._camera, np.array(level))
-        look = {"scale": 0.14, "thickness": 0.004, "color": (190, 196, 208), "jpeg_quality": 70}
-        self._frustum = scene.add_camera_frustum("/camera/view", 1.0, 1.0, **look)
-        self._trail = self._add_lines("/camera/trail", _joined(_TRAIL_COLOURS), 3.0)
+        look = {"scale": 0.14, "thickness": 0.004, "color": (190, 196, 208)}
+        scene.add_camera_frustum("/camera/view", 0.743, 4.0 / 3.0, **look)  # a RealSense's angle
         self._measured = scene.add_icosphere(
             "/camera/measured", ball_radius_m, _MEASURED, visible=False
         )
@@ -82,18 +79,6 @@ class Scene:
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=True, cast_shadow=False)
         scene.add_light_hemisphere("/sky", ground_color=(110, 112, 120), intensity=1.2)
-
-    def _add_lines(
-        self, name: str, colours: np.ndarray, thickness: float
-    ) -> viser.LineSegmentsHandle:
-        return self._server.scene.add_line_segments(
-            name,
-            np.zeros(colours.shape),
-            colours.astype(np.uint8),
-            thickness=thickness,
-            thickness_units="screen",
-            visible=False,
-        )
 
     def _add_target(self, ball_radius_m: float) -> None:
         scene = self._server.scene
@@ -126,8 +111,11 @@ class Scene:
         self._arm, self._robot = arm, ViserUrdf(self._server, arm.urdf, root_node_name="/robot")
         if self._bars is not None:
             self._bars.remove()
-        colours = np.full((len(arm.names), 2, 3), (204, 209, 217))
-        self._bars = self._add_lines("/robot/bars", colours, 12.0) if arm.missing else None
+            self._bars = None
+        if arm.missing:
+            nothing, grey = np.zeros((len(arm.names), 2, 3)), (204, 209, 217)
+            look = {"thickness": 12.0, "thickness_units": "screen", "visible": False}
+            self._bars = self._server.scene.add_line_segments("/robot/bars", nothing, grey, **look)
 
     def update(self, board: Board, now_s: float) -> None:
         """Show a moment."""
@@ -154,16 +142,6 @@ class Scene:
             wanted = rotation if target is None else self._kind.rotation(target)
             if wanted is not None:
                 self._target.wxyz = SO3.from_matrix(wanted).wxyz
-        trail_m = board.trail_m.window(now_s)[:, 1:]
-        self._trail.visible = len(trail_m) > 1
-        if len(trail_m) > 1:
-            self._trail.points = _pieces(trail_m)
-
-    def show_picture(self, field_of_view: tuple[float, float], image: np.ndarray | None) -> None:
-        """Show a new picture in the camera's view: vertical angle, rad, and width over height."""
-        self._frustum.fov, self._frustum.aspect = field_of_view
-        if image is not None:
-            self._frustum.image = image
 
 
 def _set_pose(node: viser.SceneNodeHandle, pose: np.ndarray) -> None:
@@ -174,18 +152,6 @@ def _put(node: viser.SceneNodeHandle, position_m: np.ndarray | None) -> None:
     node.visible = position_m is not None
     if position_m is not None:
         node.position = position_m
-
-
-def _pieces(trail_m: np.ndarray) -> np.ndarray:
-    """The trail in equal parts of time, oldest first, shape (pieces, 2, 3)."""
-    at = np.linspace(0.0, len(trail_m) - 1.0, len(_TRAIL_COLOURS))
-    known = np.arange(len(trail_m))
-    return _joined(np.stack([np.interp(at, known, column) for column in trail_m.T], axis=1))
-
-
-def _joined(points: np.ndarray) -> np.ndarray:
-    """Each point, shape (n, 3), with the next, shape (n - 1, 2, 3)."""
-    return np.stack([points[:-1], points[1:]], axis=1)
 
 
 # --- the robot's model ---
@@ -213,8 +179,10 @@ class Arm:
         """Bars from the root from joint to joint, m, shape (n, 2, 3)."""
         self.urdf.update_cfg(self.configuration(joints_rad))
         links = [self.urdf.joint_map[name].child for name in self.names]
-        points_m = [self.urdf.get_transform(link)[:3, 3] for link in links]
-        return _joined(np.array([np.zeros(3), *points_m]))
+        points_m = np.array(
+            [np.zeros(3), *(self.urdf.get_transform(link)[:3, 3] for link in links)]
+        )
+        return np.stack([points_m[:-1], points_m[1:]], axis=1)
 
     def in_root(self, frame: str, pose: np.ndarray) -> np.ndarray:
         """A pose in a link's frame, (4, 4), m, in the model's root; of another frame, as it is."""
