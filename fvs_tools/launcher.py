@@ -236,13 +236,8 @@ def _parser() -> argparse.ArgumentParser:
         "--record",
         default="",
         metavar="DIR",
-        help="record all topics into a new bag; docs/recording.md",
-    )
-    parser.add_argument(
-        "--record-without-images",
-        dest="images",
-        action="store_false",
-        help="with --record: leave out the images, the largest part of a bag",
+        help="record all topics into a new bag, with -p images:=false without the images, its "
+        "largest part; docs/recording.md",
     )
     return parser
 
@@ -252,14 +247,8 @@ def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_launch``; returns the exit code."""
     arguments = _parser().parse_args(argv)
     try:
-        if not arguments.images and not arguments.record:
-            raise ValueError("--record-without-images needs --record")
         scenario = load_scenario(
-            arguments.scenario,
-            arguments.param,
-            arguments.scheme,
-            arguments.record,
-            arguments.images,
+            arguments.scenario, arguments.param, arguments.scheme, arguments.record
         )
     except ValueError as error:
         print(f"fvs_launch: {error}", file=sys.stderr)

@@ -60,11 +60,7 @@ NODE_TABLE: dict[str, NodeEntry] = {
 
 
 def load_scenario(
-    name: str,
-    overrides: Iterable[str] = (),
-    scheme_name: str = "",
-    record: str = "",
-    images: bool = True,
+    name: str, overrides: Iterable[str] = (), scheme_name: str = "", record: str = ""
 ) -> Scenario:
     """The nodes to start, in this order, and their parameters, for a command line.
 
@@ -83,7 +79,7 @@ def load_scenario(
             raise ValueError(f"scenario {path}, {ALL_NODES}: no node has a parameter {parameter}")
     if record:
         check_recording(Path(record).expanduser())
-        recorder = {**sections.pop(RECORDER, {}), "bag_dir": record, "images": images}
+        recorder = {**sections.pop(RECORDER, {}), "bag_dir": record}
         sections = {RECORDER: recorder, **sections}
     for node, values in sections.items():
         if node not in NODE_TABLE:

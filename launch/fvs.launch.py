@@ -30,7 +30,6 @@ _ARGUMENTS = (
     ("remap", "", "from:=to rules for all nodes, with spaces between"),
     ("rviz", "false", "true opens RViz with config/fvs.rviz, and shows the loop in it"),
     ("record", "", "records all topics into a bag in this folder, which must not exist"),
-    ("record_images", "true", "false leaves the images out of the bag"),
 )
 
 
@@ -41,7 +40,9 @@ def _viewer(arguments):
 
     remaps = [tuple(rule.split(":=")) for rule in arguments["remap"].split()]
     common = {"namespace": arguments["namespace"], "remappings": remaps}
-    scenario = load_scenario(arguments["scenario"], arguments["param"].split(), arguments["scheme"])
+    scenario = load_scenario(
+        arguments["scenario"], arguments["param"].split(), arguments["scheme"], arguments["record"]
+    )
     prefix = next((v["tf_prefix"] for v in scenario.values() if "tf_prefix" in v), "")
     actions, root = [], "base_link"
     if "fvs_sim_node" in scenario:
@@ -69,8 +70,6 @@ def _nodes(context):
     words += [f"--{name}={arguments[name]}" for name in ("scheme", "namespace", "record")]
     for name in ("param", "remap"):
         words += [f"--{name}={rule}" for rule in arguments[name].split()]
-    if arguments["record"] and arguments["record_images"].lower() == "false":
-        words.append("--record-without-images")
     loop = ExecuteProcess(
         name="fvs_launch",
         cmd=[*program("fvs_tools.launcher", dies_with_parent=True), *words],

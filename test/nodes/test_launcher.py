@@ -22,7 +22,7 @@ from fvs_ros.paths import program
 from fvs_tools.scenario import NODE_TABLE
 
 MODULE, SERVO = "fvs_tools.launcher", "fvs_tools.servo_node"
-RECORD = ("--record", "bag", "--record-without-images")
+RECORD = ("--record", "bag", "-p", "images:=false")
 EXECUTABLES = dict(
     re.findall(
         r'"(fvs_\w+)=([\w.]+):main"',

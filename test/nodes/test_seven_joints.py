@@ -50,7 +50,7 @@ def test_an_arm_is_learned_and_servoed_by_its_name_with_positions(ros_test):
     statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name, ros.QOS_EVERY)
     short = "targets:=2", "target_s:=3.0", "use_sim_time:=true", "simulated_time:=true"
     given = *short, f"model_path:={model}", "output_dir:=out"
-    options = "--scheme", "best", "--record", "bag", "--record-without-images"
+    options = "--scheme", "best", "--record", "bag", "-p", "images:=false"
     said = launch(ros_test, "demo", *given, options=options)
     assert "to 5 mm" in said
     assert {len(message.data) for message in commands} == {7}
