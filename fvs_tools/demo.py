@@ -65,20 +65,19 @@ class TargetRecord:
     #: Whether late inputs held the arm.
     slowed: bool = False
     #: Moments, s, and true features.
-    seen: list[tuple[float, np.ndarray]] = field(default_factory=list)
+    truths: list[tuple[float, np.ndarray]] = field(default_factory=list)
     #: Moments, s, and joint velocities, rad/s.
     joints: list[tuple[float, np.ndarray]] = field(default_factory=list)
 
     def errors_m(self) -> tuple[np.ndarray, np.ndarray]:
         """Moments, s, (n,), and errors, m, (n, d)."""
-        times_s, features = zip(*self.seen, strict=True)
+        times_s, features = zip(*self.truths, strict=True)
         return np.array(times_s), np.array([self.kind.minus(z, self.target) for z in features])
 
-
-def score(record: TargetRecord) -> TargetScore:
-    """Score one target by the truth."""
-    velocities = np.array([velocity for _, velocity in record.joints])
-    return judge(record.kind, *record.errors_m(), velocities)
+    def score(self) -> TargetScore:
+        """Score it by the truth."""
+        velocities = np.array([velocity for _, velocity in self.joints])
+        return judge(self.kind, *self.errors_m(), velocities)
 
 
 def table(scores: Sequence[TargetScore], notes: Sequence[str]) -> str:
@@ -105,8 +104,8 @@ def write_results(folder: Path, records: list[TargetRecord], scores: list[Target
     """Write ``results.json``."""
     folder.mkdir(parents=True, exist_ok=True)
     content = [
-        {"target_m": record.target.tolist(), **asdict(one)}
-        for record, one in zip(records, scores, strict=True)
+        {"target_m": record.target.tolist(), **asdict(score)}
+        for record, score in zip(records, scores, strict=True)
     ]
     (folder / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 

@@ -81,8 +81,8 @@ class DemoNode(ros.FvsNode):
                 self._next_target(stamp_s, z)
             return
         record = self._records[-1]
-        record.seen.append((stamp_s - record.start_s, z))
-        if record.seen[-1][0] >= self._config.target_s:
+        record.truths.append((stamp_s - record.start_s, z))
+        if record.truths[-1][0] >= self._config.target_s:
             self._report(len(self._records), record)
             if len(self._records) < self._config.targets:
                 self._next_target(stamp_s, z)
@@ -95,10 +95,10 @@ class DemoNode(ros.FvsNode):
         kind, config = self._kind, self._config
         target = demo.choose_target(kind, self._candidates, z, config.distance_m, self._rng)
         self._target.publish(ros.to_feature(stamp_s, config.feature_frame, kind, target))
-        self._records.append(demo.TargetRecord(kind, target, stamp_s, seen=[(0.0, z)]))
+        self._records.append(demo.TargetRecord(kind, target, stamp_s, truths=[(0.0, z)]))
 
     def _report(self, number: int, record: demo.TargetRecord) -> None:
-        score = demo.score(record)
+        score = record.score()
         settled_s = score.settling_5mm_s
         text = "not settled" if settled_s is None else f"settled after {settled_s:.2f} s"
         print(
@@ -123,7 +123,7 @@ class DemoNode(ros.FvsNode):
 
     def _conclude(self) -> None:
         self._stop.call_async(Trigger.Request())
-        scores = [demo.score(record) for record in self._records]
+        scores = [record.score() for record in self._records]
         folder = Path(self._config.output_dir)
         demo.write_results(folder, self._records, scores)
         demo.draw(folder / "demo.png", self._records, self._joint_map.names)
