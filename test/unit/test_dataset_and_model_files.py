@@ -1,12 +1,22 @@
 """Data sets and models: what is written comes back; anything else is refused in one sentence."""
 
+import io
 import os
+import resource
+import subprocess
+import sys
+import warnings
+import zipfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from cases import each
+from hypothesis import given
+from hypothesis import strategies as st
 from recordings import ur5_chain
+from strangers import FEW, unless_refused
 
 from fvs_estimator_node.files import (
     DataSet,
@@ -46,9 +56,12 @@ def some_model():
 
 
 FILES = {
-    "data set": (save_data_set, load_data_set, some_data, "stamps_s", "joints_rad"),
-    "model": (save_model, load_model, some_model, "widths", "centres"),
+    "data set": (save_data_set, load_data_set, some_data),
+    "model": (save_model, load_model, some_model),
 }
+
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(params=FILES)
@@ -106,42 +119,29 @@ def test_a_model_comes_back_as_it_was(tmp_path, has_chain):
         np.testing.assert_allclose(getattr(back.chain, name), wanted, rtol=0.0, atol=1e-15)
 
 
-def test_fields_that_are_not_as_declared_are_refused(kind, written):
-    whole = written.read_bytes()
-    with np.load(written) as content:
-        infinite = content[kind[4]].copy()
-    infinite.flat[3] = np.inf
-    for changes, words in (
-        ({"version": np.array(99)}, "version 99, this program reads version 1"),
-        ({"format": np.array("fvs_other")}, "is of format 'fvs_other', expected 'fvs_"),
-        ({kind[3]: None}, f"lacks the field '{kind[3]}'"),
-        ({kind[3]: np.zeros((3, 3, 3))}, f"{kind[3]} has shape"),
-        ({kind[4]: np.array("text")}, f"{kind[4]} holds something that is not a number"),
-        ({kind[4]: infinite}, f"{kind[4]} holds a number that is not finite"),
-        ({"joint_names": np.array(["a", "a"])}, "expected different names"),
-        ({"joint_names": np.array(["a", "b"])}, "has shape|do not fit together"),
-        ({"provenance": np.array("[1]")}, "not a JSON object"),
-    ):
-        written.write_bytes(whole)
-        rewrite(written, **changes)
-        refused(kind, written, words)
-
-
 ZERO_AXIS = ur5_chain().axes.copy()
 ZERO_AXIS[2] = 0.0
+#: What is no data set or model: which it is made of, what is changed, and what is said.
+WRONG = [
+    ("data set", {"stamps_s": None}, "lacks the field 'stamps_s'"),
+    ("data set", {"stamps_s": -np.arange(8.0)}, "do not rise"),
+    ("data set", {"segment": np.arange(8)[::-1]}, "go back"),
+    ("data set", {"joints_rad": np.full((8, 3), np.inf)}, "joints_rad holds a number that is not"),
+    ("data set", {"joints_rad": np.array("text")}, "joints_rad holds something that is not a num"),
+    ("data set", {"joint_names": np.array(["a", "b"])}, "has shape|do not fit together"),
+    ("model", {"version": np.array(99)}, "version 99, this program reads version 1"),
+    ("model", {"format": np.array("fvs_other")}, "is of format 'fvs_other', expected 'fvs_"),
+    ("model", {"widths": np.zeros((3, 3, 3))}, "widths has shape"),
+    ("model", {"widths": -np.ones((6, 4))}, "widths must be positive"),
+    ("model", {"joint_names": np.array(["a", "a"])}, "expected different names"),
+    ("model", {"provenance": np.array("[1]")}, "not a JSON object"),
+    ("model", {"joint_box_rad": np.array([[1.0] * 6, [-1.0] * 6])}, "least value above"),
+    ("model", {"chain_feature_m": None}, "lacks the field 'chain_feature_m'"),
+    ("model", {"chain_axes": ZERO_AXIS}, "an axis of a chain has no direction"),
+]
 
 
-@each(
-    ("name", "changes", "words"),
-    [
-        ("data set", {"stamps_s": -np.arange(8.0)}, "do not rise"),
-        ("data set", {"segment": np.arange(8)[::-1]}, "go back"),
-        ("model", {"widths": -np.ones((6, 4))}, "widths must be positive"),
-        ("model", {"joint_box_rad": np.array([[1.0] * 6, [-1.0] * 6])}, "least value above"),
-        ("model", {"chain_feature_m": None}, "lacks the field 'chain_feature_m'"),
-        ("model", {"chain_axes": ZERO_AXIS}, "an axis of a chain has no direction"),
-    ],
-)
+@each(("name", "changes", "words"), WRONG)
 def test_what_cannot_be_is_refused(tmp_path, name, changes, words):
     kind, path = FILES[name], tmp_path / "x.npz"
     kind[0](path, kind[2]())
@@ -154,7 +154,7 @@ def test_pickles_are_not_opened(kind, written, tmp_path):
         def __reduce__(self):
             return (os.mkdir, (str(tmp_path / "trapped"),))
 
-    rewrite(written, **{kind[4]: np.array([Trap()], dtype=object)})
+    rewrite(written, joint_names=np.array([Trap()], dtype=object))
     refused(kind, written, "expected numbers or text")
     assert not (tmp_path / "trapped").exists()
 
@@ -192,3 +192,114 @@ def test_a_pose_is_read_as_a_pose_and_not_as_a_ball(tmp_path):
     rewrite(tmp_path / "d.npz", z=2.0 * seen)
     with pytest.raises(FileError, match="is no pose"):
         load_data_set(tmp_path / "d.npz")
+
+
+# ---- files from strangers ---------------------------------------------------------------------
+
+DESCRS = ("<f8", ">f8", "<f4", "<f2", "<i8", "|b1", "<c16", "<U1", "|S3", "|O", "<M8[s]", "|V8")
+
+
+def fields_of(path):
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def pack(members):
+    """Write members, (name, bytes) pairs, into an archive; names may be doubled."""
+    stream = io.BytesIO()
+    with warnings.catch_warnings(), zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        warnings.simplefilter("ignore")  # of doubled names
+        for name, content in members:
+            archive.writestr(name, content)
+    return stream.getvalue()
+
+
+def claim(descr, shape, content=b""):
+    """An array file whose header says anything."""
+    stream = io.BytesIO()
+    header = {"descr": descr, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(stream, header)
+    return stream.getvalue() + content
+
+
+@FEW
+@given(
+    cut=st.floats(0.0, 2.0),
+    flips=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(1, 255)), max_size=12),
+    tail=st.binary(max_size=30),
+)
+def test_bytes_that_were_cut_flipped_or_added(kind, written, tmp_path, cut, flips, tail):
+    content = bytearray(written.read_bytes())
+    for at, flip in flips:
+        content[int(at * (len(content) - 1))] ^= flip
+    content = bytes(content[: int(cut * len(content))]) + tail
+    unless_refused(kind[1], tmp_path / "other.npz", content)
+
+
+def odd_member(data):
+    """Another array, or none, in place of the bytes of an old one."""
+    content = data.draw(st.binary(max_size=400))
+    if data.draw(st.booleans()):
+        return content
+    sides = st.integers(-3, 8) | st.sampled_from([2**31, 2**40, 2**62])
+    shape = tuple(data.draw(st.lists(sides, max_size=3)))
+    return claim(data.draw(st.sampled_from(DESCRS)), shape, content)
+
+
+@FEW
+@given(data=st.data())
+def test_members_of_any_type_shape_and_content(kind, written, tmp_path, data):
+    fields = fields_of(written)
+    members = dict(fields)
+    for _ in range(data.draw(st.integers(1, 3))):
+        name = data.draw(st.sampled_from(sorted(fields)))
+        if data.draw(st.booleans()):
+            members[name] = odd_member(data)
+        else:
+            members.pop(name, None)
+    twice = list(members.items())[: data.draw(st.integers(0, 1))]
+    content = pack([*members.items(), *twice])
+    used = unless_refused(kind[1], tmp_path / "other.npz", content)
+    for value in vars(getattr(used, "model", used)).values() if used is not None else ():
+        assert not isinstance(value, np.ndarray) or np.all(np.isfinite(value))
+
+
+LOAD = """
+import sys
+from fvs_estimator_node.files import load_model
+from fvs_tools.scenario import load_scenario
+try:
+    (load_model if sys.argv[1].endswith("npz") else load_scenario)(sys.argv[1])
+except ValueError as error:
+    print("refused", len(str(error)) < 5000)
+"""
+
+
+def laughs(levels):
+    lists = ["&a0 [x, x, x, x, x, x, x, x, x]"]
+    lists += [f"&a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, levels)]
+    rows = "".join(f"    q{i}: {row}\n" for i, row in enumerate(lists))
+    return f"/**:\n  ros__parameters:\n{rows}    seed: *a{levels - 1}\n".encode()
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("bomb.npz", lambda: pack([("bomb.npy", claim("|u1", (2**28,), bytes(2**28)))])),
+        ("laughs.yaml", lambda: laughs(12)),
+        ("sparse.yaml", None),  # 4 GB that take no room on the disk
+    ],
+)
+def test_a_small_file_takes_neither_memory_nor_time(tmp_path, name, content):
+    def limit():
+        resource.setrlimit(resource.RLIMIT_AS, (1500 * 2**20,) * 2)
+        resource.setrlimit(resource.RLIMIT_CPU, (5, 5))
+
+    path = tmp_path / name
+    path.write_bytes(content() if content else b"")
+    os.truncate(path, path.stat().st_size if content else 2**32)
+    command = [sys.executable, "-c", LOAD, str(path)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, preexec_fn=limit, cwd=ROOT
+    )
+    assert done.stdout.strip() == "refused True", done.stderr

@@ -5,8 +5,6 @@ import math
 import numpy as np
 import pytest
 from cases import each
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from fvs_controller_node.base import ControlInput
@@ -18,60 +16,44 @@ RNG = np.random.default_rng(3)
 JACOBIAN = 0.4 * RNG.normal(size=(3, 6))
 DT_S = 0.008
 
-SIGNED = st.one_of(
-    st.just(0.0),
-    st.builds(
-        lambda sign, exponent: sign * 10.0**exponent,
-        st.sampled_from([-1.0, 1.0]),
-        st.floats(-12.0, 1.0),
-    ),
-)
+
+def signed(rng, most=1.0):
+    """Zero, or a number of any sign and magnitude."""
+    return float(rng.choice([-1.0, -1.0, 0.0, 1.0, 1.0])) * 10.0 ** rng.uniform(-12.0, most)
 
 
-@settings(max_examples=120, deadline=None)
-@given(
-    s=SIGNED,
-    k1=st.floats(0.01, 100.0),
-    k2=st.sampled_from([0.0, 1e-3, 0.05, 1.0, 50.0]),
-    k4=st.floats(1e-3, 10.0),
-    sigma=st.floats(0.55, 0.95),
-    dt=st.sampled_from([0.002, 0.008, 0.04]),
-)
-def test_the_next_sliding_value_solves_its_equation(*, s, k1, k2, k4, sigma, dt):
-    law = ReachingLaw(k1, k2, k4, sigma)
-    p = abs(next_sliding_value(s, law, dt))
-    right = k4 / dt * abs(s)
+@each("seed", range(200))
+def test_the_next_sliding_value_solves_its_equation(seed):
+    rng = np.random.default_rng(seed)
+    s, k1, k4 = signed(rng), 10.0 ** rng.uniform(-2.0, 2.0), 10.0 ** rng.uniform(-3.0, 1.0)
+    k2, sigma = float(rng.choice([0.0, 1e-3, 0.05, 1.0, 50.0])), rng.uniform(0.55, 0.95)
+    law, dt_s = ReachingLaw(k1, k2, k4, sigma), float(rng.choice([0.002, 0.008, 0.04]))
+    p = abs(next_sliding_value(s, law, dt_s))
 
-    def residual(p: float) -> float:
-        return (k4 / dt + k1) * p + k2 * p ** (2 * sigma - 1) - right
+    def residual(p):
+        return (k4 / dt_s + k1) * p + k2 * p ** (2 * sigma - 1) - k4 / dt_s * abs(s)
 
     wanted = brentq(residual, 0.0, abs(s), xtol=1e-300, rtol=1e-14) if s else 0.0
     assert p == pytest.approx(wanted, rel=1e-10)
-    assert next_sliding_value(-s, law, dt) == -next_sliding_value(s, law, dt)
+    assert next_sliding_value(-s, law, dt_s) == -next_sliding_value(s, law, dt_s)
     assert p <= abs(s)
 
 
-@settings(max_examples=120, deadline=None)
-@given(
-    y=SIGNED.filter(lambda y: abs(y) < 1.0),
-    s_next=SIGNED,
-    alpha2=st.floats(0.1, 20.0),
-    alpha3=st.sampled_from([0.0, 0.1, 1.3, 20.0]),
-    gammas=st.sampled_from([(0.1, 0.5), (0.375, 0.9), (0.6, 1.0), (0.05, 0.05)]),
-    switch=st.sampled_from([1e-3, 5e-3, 0.05]),
-    dt=st.sampled_from([0.002, 0.008, 0.04]),
-)
-def test_the_next_error_solves_its_equation(*, y, s_next, alpha2, alpha3, gammas, switch, dt):
-    far, near = gammas
-    surface = SlidingSurface(1.0, alpha2, alpha3, 0.5 * (near + far), 0.5 * (near - far), switch)
-    right = s_next + y / dt
-    z = next_error(right, y, surface, dt)
+@each("seed", range(200))
+def test_the_next_error_solves_its_equation(seed):
+    rng = np.random.default_rng(seed)
+    far, near = rng.choice([(0.1, 0.5), (0.375, 0.9), (0.6, 1.0), (0.05, 0.05)])
+    alphas = 1.0, 10.0 ** rng.uniform(-1.0, 1.3), float(rng.choice([0.0, 0.1, 1.3, 20.0]))
+    exponents = 0.5 * (near + far), 0.5 * (near - far), float(rng.choice([1e-3, 5e-3, 0.05]))
+    surface, y = SlidingSurface(*alphas, *exponents), signed(rng, 0.0)
+    dt_s = float(rng.choice([0.002, 0.008, 0.04]))
+    right = signed(rng) + y / dt_s
 
-    def residual(z: float) -> float:
-        return (1.0 / dt + alpha2) * z + alpha3 * surface.psi(z) - right
+    def residual(z):
+        return (1.0 / dt_s + alphas[1]) * z + alphas[2] * surface.psi(z) - right
 
-    wanted = brentq(residual, *sorted((0.0, right * dt)), xtol=1e-16) if right else 0.0
-    assert z == pytest.approx(wanted, rel=1e-9, abs=1e-11)
+    wanted = brentq(residual, *sorted((0.0, right * dt_s)), xtol=1e-16) if right else 0.0
+    assert next_error(right, y, surface, dt_s) == pytest.approx(wanted, rel=1e-9, abs=1e-11)
 
 
 def closed_loop(gains: FtsmGains, seconds: float, dt_s: float = DT_S, fastest: float = math.inf):

