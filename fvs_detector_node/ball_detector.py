@@ -252,11 +252,7 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Sighting:
     patch, coloured = _cut_out(blob, scene, pad)
     rays = patch.rays()
     fit = fit_sphere(patch, rays, distance_m, radius_m)
-    if (
-        fit is None
-        or fit.on_outline < ACCEPT.on_outline
-        or fit.residual_m > ACCEPT.residual_radii * radius_m
-    ):
+    if fit is None or fit.on_outline < ACCEPT.on_outline:
         return miss
     ball = _measured(patch, coloured, rays, fit, radius_m)
     return miss if ball.quality < ACCEPT.quality else ball

@@ -25,18 +25,16 @@ class Acceptance:
 
     #: Least number of pixels, and of pixels with depth: fewer do not show a shape.
     pixels: int = 20
-    #: Least quality, so also least part of the ball that is to be seen.
+    #: Least quality, so also least part of the ball that is to be seen. A flat disc has none.
     quality: float = 0.3
     #: Bounds of the candidate's area over the ball's, before the distance is fitted. They allow for
     #: a first guess that is 25 % off.
-    least_area: float = 0.7 * 0.25
+    least_area: float = 0.7 * 0.3
     most_area: float = 1.6
     #: Nearest centre, radii: at one the camera touches the ball.
     nearest_radii: float = 1.5
     #: Least share of the candidate's outline that lies on the sphere's; others cut off the rest.
     on_outline: float = 0.6
-    #: Largest rms deviation of its surface from the sphere, radii: a flat disc has 0.24.
-    residual_radii: float = 0.1
     #: Tolerance of outline points on a circle, as a share of its radius; at least 1.2 pixels.
     circle: float = 0.05
     circle_px: float = 1.2

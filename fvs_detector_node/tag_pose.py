@@ -36,7 +36,7 @@ class Acceptance:
     #: Chi-square by which such a coefficient must fit better to refuse a pose.
     radial_certain: float = 4.0
     #: Rotation of the pose by such a coefficient that refuses it, rad.
-    radial_turn_rad: float = 0.07
+    radial_rotation_rad: float = 0.07
     #: Chi-square margin between the two solutions, five deviations.
     certain: float = 25.0
     #: Floor of the corners' deviation in that margin, px: with less, one of 700 rendered tags of
@@ -46,7 +46,7 @@ class Acceptance:
     last_s: float = 0.2
     #: Fastest rotation since then, rad/s, that of a UR5's joints together. Only one solution must
     #: be in reach: if the nearer was taken, 58 of 2,131 poses were mirrored.
-    turn_rad_s: float = 2.0
+    rotation_rad_s: float = 2.0
     #: Solutions that differ by less, rad, are the same: else cubes are in doubt.
     same_rad: float = 0.02
 
@@ -92,7 +92,7 @@ class _Fit:
 
     pose: TagPose
     residuals: np.ndarray  # of the corners, in deviations, (N,)
-    slopes: np.ndarray  # of these by turn, rad, position, m, and radial coefficient, (N, 7)
+    slopes: np.ndarray  # of these by rotation, rad, position, m, and radial coefficient, (N, 7)
     chi2: float  # squared residuals, in the variances that count where two poses fit
 
 
@@ -183,19 +183,19 @@ class PoseFinder:
             back_px, all_slopes = cv2.projectPoints(
                 points_m @ rotation.T, np.zeros(3), position_m, matrix, np.zeros(4)
             )
-            off_px = corners_px - back_px.reshape(-1, 8, 1)
+            error_px = corners_px - back_px.reshape(-1, 8, 1)
             # By rotation, position and first radial coefficient.
             slopes_px = all_slopes[:, [*range(6), 10]].reshape(-1, 8, 7)
-            residuals = (scales @ off_px).ravel()
+            residuals = (scales @ error_px).ravel()
             slopes = (scales @ slopes_px).reshape(-1, 7)
             step = np.linalg.lstsq(slopes[:, :6], residuals, rcond=None)[0]
             if np.abs(step).max() < 1e-5:  # rad and m
                 break
             rotation = cv2.Rodrigues(step[:3])[0] @ rotation
             position_m = position_m + step[3:]
-        residual_px = float(np.sqrt(np.square(off_px).mean()))
+        residual_px = float(np.sqrt(np.square(error_px).mean()))
         pose = TagPose(position_m, rotation, self._tag, tuple(corners), residual_px)
-        return _Fit(pose, residuals, slopes, float(np.square(cautious @ off_px).sum()))
+        return _Fit(pose, residuals, slopes, float(np.square(cautious @ error_px).sum()))
 
     def _choice(self, stamp_s: float, first: _Fit, second: _Fit | None = None) -> _Fit | None:
         """The fit that is certain, of two; None if neither is."""
@@ -204,7 +204,7 @@ class PoseFinder:
         certain = second.chi2 - first.chi2 > ACCEPT.certain
         if self._last is None or not 0.0 < stamp_s - self._last[0] <= ACCEPT.last_s:
             return first if certain else None
-        reach_rad = 2.0 * ACCEPT.angle_rad + ACCEPT.turn_rad_s * (stamp_s - self._last[0])
+        reach_rad = 2.0 * ACCEPT.angle_rad + ACCEPT.rotation_rad_s * (stamp_s - self._last[0])
         to_first, to_second = (_apart_rad(fit, self._last[1]) for fit in (first, second))
         if to_second <= reach_rad < to_first:
             # A corner that is off can make the wrong one certain.
@@ -230,7 +230,7 @@ def _inexact(fit: _Fit) -> str:
     change = np.linalg.solve(normal, gained)
     if (
         change @ gained > ACCEPT.radial_certain
-        and np.linalg.norm(change[:3]) > ACCEPT.radial_turn_rad
+        and np.linalg.norm(change[:3]) > ACCEPT.radial_rotation_rad
     ):
         return (
             f"the corners fit a lens with k1 = {change[6]:+.2f} that camera_info does not declare: "

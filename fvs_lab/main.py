@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from fvs_lab.report import EXPERIMENTS, LONG, write_page, write_report
 from fvs_ros import console
-from fvs_ros.arguments import Parser, how_to_install, one_of
+from fvs_ros.arguments import Parser, how_to_install
 from fvs_ros.paths import version
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
@@ -41,7 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "name",
         metavar="EXPERIMENT",
-        type=one_of("experiment", (*EXPERIMENTS, "all", "replay")),
+        choices=(*EXPERIMENTS, "all", "replay"),
         help=f"one of those below; all leaves out {', '.join(LONG)}, which take long",
     )
     parser.add_argument(

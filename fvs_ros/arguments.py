@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 _WIDTH, _COLUMN = 100, 22
@@ -13,29 +13,17 @@ _WIDTH, _COLUMN = 100, 22
 _QUOTED = 60
 
 
-def unknown(kind: str, given: str, known: Iterable[str]) -> str:
+def unknown(kind: str, name: str, known: Iterable[str]) -> str:
     """Refusal of an unknown name, with the nearest known one and all of them."""
     names = list(known)
-    meant = did_you_mean(given, names)
-    return f"unknown {kind} '{given[:_QUOTED]}'; {meant}known are {', '.join(names)}"
+    meant = did_you_mean(name, names)
+    return f"unknown {kind} '{name[:_QUOTED]}'; {meant}known are {', '.join(names)}"
 
 
-def did_you_mean(given: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Suggest the nearest known name; empty if none is near."""
-    near = difflib.get_close_matches(given[:_QUOTED], list(known), n=1)
+    near = difflib.get_close_matches(name[:_QUOTED], list(known), n=1)
     return f"did you mean {near[0]}? " if near else ""
-
-
-def one_of(kind: str, known: Iterable[str]) -> Callable[[str], str]:
-    """An argparse type that takes one of some names, instead of ``choices``."""
-    names = list(known)
-
-    def check(text: str) -> str:
-        if text not in names:
-            raise argparse.ArgumentTypeError(unknown(kind, text, names))
-        return text
-
-    return check
 
 
 def how_to_install(extras: str, packages: Iterable[str]) -> str:

@@ -92,15 +92,15 @@ class Parameter:
         For a float an int is accepted, and its text: ``1e-4`` is none in YAML 1.1.
         """
         if not self.is_list:
-            return self._check_one(value, value)
+            return self._check_element(value, value)
         if self.broadcast and isinstance(value, (int, float, str)):
             value = [value]
         is_list = hasattr(value, "__len__") and not isinstance(value, str)
         if not is_list or self.size not in (None, len(value)):
             raise self._refusal(value)
-        return [self._check_one(element, value) for element in value]
+        return [self._check_element(element, value) for element in value]
 
-    def _check_one(self, element: Any, whole: Any) -> Any:
+    def _check_element(self, element: Any, whole: Any) -> Any:
         kind = self.kind
         if isinstance(element, np.generic):
             element = element.item()
@@ -156,9 +156,9 @@ class ParameterSet:
         defaults = {parameter.name: parameter.default for parameter in self}
         return {**defaults, **self.checked(overrides or {})}
 
-    def checked(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def checked(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Given values in their parameters' types; a ``ParameterError`` if one is wrong."""
-        return {name: self[name].check(value) for name, value in given.items()}
+        return {name: self[name].check(value) for name, value in values.items()}
 
 
 def parameters_of(node: str) -> ParameterSet:

@@ -11,7 +11,7 @@ from fvs_ros.vectors import length
 
 _UNIT = np.eye(3)
 #: Slack of a unit quaternion.
-QUATERNION_SLACK = 0.01
+_QUATERNION_SLACK = 0.01
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
@@ -51,8 +51,8 @@ def rotation_from_vector(vector_rad: np.ndarray) -> np.ndarray:
 def rotation_from_quaternion(quaternion_xyzw: np.ndarray) -> np.ndarray:
     """Rotation matrix, (3, 3), of a unit quaternion, (4,); a ``ValueError`` if it is none."""
     size = length(quaternion_xyzw)
-    if not abs(size - 1.0) < QUATERNION_SLACK:
-        raise ValueError(f"expected a unit quaternion, got {quaternion_xyzw.tolist()}")
+    if not abs(size - 1.0) < _QUATERNION_SLACK:
+        raise ValueError(f"is no pose, its quaternion no unit one: {quaternion_xyzw.tolist()}")
     quaternion_xyzw = quaternion_xyzw / size
     vector, w = quaternion_xyzw[:3], float(quaternion_xyzw[3])
     k = cross_matrix(vector)

@@ -16,7 +16,7 @@ from tqdm import tqdm
 from fvs_estimator_node.files import DataSet, TrainedModel, load_data_set, save_model
 from fvs_estimator_node.training import METHODS, TrainingOptions, train
 from fvs_ros import console
-from fvs_ros.arguments import Parser, one_of
+from fvs_ros.arguments import Parser
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_tools.table import read_table
 
@@ -81,7 +81,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--method",
-        type=one_of("method", tuple(METHODS)),
+        choices=tuple(METHODS),
         default=defaults.method,
         help="poe fits a serial chain, and the networks to it: a minute of motion is enough; "
         "varpro trains networks, with centres and widths; ridge only their weights, in a second "

@@ -17,7 +17,6 @@ import numpy as np
 from fvs_ros.chain import cross_matrix
 from fvs_ros.kinds.kind import Kind
 from fvs_ros.rotations import (
-    QUATERNION_SLACK,
     nearest_rotation,
     quaternion_from_rotation,
     rotation_from_quaternion,
@@ -78,10 +77,8 @@ class Pose(Kind):
         return self._of_numbers(numbers[:3], numbers[3:])
 
     def _of_numbers(self, position_m: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-        if not (plausible(position_m) and abs(length(quaternion) - 1.0) < QUATERNION_SLACK):
-            raise ValueError(
-                f"is no pose: position {position_m.tolist()}, quaternion {quaternion.tolist()}"
-            )
+        if not plausible(position_m):
+            raise ValueError(f"is not finite, or too far: {position_m.tolist()}")
         return self.of_body(position_m, rotation_from_quaternion(quaternion))
 
     def minus(
@@ -115,13 +112,13 @@ class Pose(Kind):
         projection[..., :2], projection[..., 2] = np.eye(2), -image
         projection /= corners[..., 2:, None]
         slopes = np.concatenate([projection, -projection @ cross_matrix(edges)], axis=-1)
-        off = (focal + radial * np.sum(image**2, axis=-1, keepdims=True)) * image
-        slopes, off = slopes.reshape(-1, 8, 6), off.reshape(-1, 8, 1)
+        error = (focal + radial * np.sum(image**2, axis=-1, keepdims=True)) * image
+        slopes, error = slopes.reshape(-1, 8, 6), error.reshape(-1, 8, 1)
         back = np.swapaxes(slopes, 1, 2)
-        motion = np.linalg.solve(back @ slopes, back @ off)[..., 0]
-        turned = z[:, 3:].reshape(-1, 3, 3)
-        turned = turned - turned @ cross_matrix(motion[:, 3:])
-        return np.hstack([z[:, :3] + motion[:, :3], turned.reshape(-1, 9)])
+        motion = np.linalg.solve(back @ slopes, back @ error)[..., 0]
+        axes = z[:, 3:].reshape(-1, 3, 3)
+        axes = axes - axes @ cross_matrix(motion[:, 3:])
+        return np.hstack([z[:, :3] + motion[:, :3], axes.reshape(-1, 9)])
 
     def _basis(self, z: np.ndarray | None) -> np.ndarray:
         """Orthonormal rows, (6, 12): the tangent vectors among those of the weighted numbers."""

@@ -223,10 +223,9 @@ def to_image(stamp_s: float, frame: str, pixels: np.ndarray, encoding: str) -> I
 
 def to_camera_info(stamp_s: float, frame: str, intrinsics: Intrinsics) -> CameraInfo:
     """``CameraInfo`` of a pinhole camera without distortion."""
-    camera = intrinsics
-    matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+    matrix = intrinsics.matrix
     message = _stamped(CameraInfo, stamp_s, frame)
-    message.width, message.height = int(camera.width), int(camera.height)
+    message.width, message.height = int(intrinsics.width), int(intrinsics.height)
     message.distortion_model, message.d = "plumb_bob", [0.0] * 5
     message.k, message.r = matrix.reshape(-1), np.eye(3).reshape(-1)
     message.p = np.hstack([matrix, np.zeros((3, 1))]).reshape(-1)

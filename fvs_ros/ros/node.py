@@ -42,19 +42,19 @@ REPEAT_S = 5.0
 BUILT_IN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
-def _descriptor(one: Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
-        description=one.description,
-        additional_constraints=one.expected(),
-        read_only=not one.live,
+        description=parameter.description,
+        additional_constraints=parameter.expected(),
+        read_only=not parameter.live,
     )
-    if (one.minimum, one.maximum) == (None, None):
+    if (parameter.minimum, parameter.maximum) == (None, None):
         return descriptor
     # The end of an open range.
-    largest = math.inf if one.kind is float else 2**62
-    low = one.kind(-largest if one.minimum is None else one.minimum)
-    high = one.kind(largest if one.maximum is None else one.maximum)
-    if one.kind is float:
+    largest = math.inf if parameter.kind is float else 2**62
+    low = parameter.kind(-largest if parameter.minimum is None else parameter.minimum)
+    high = parameter.kind(largest if parameter.maximum is None else parameter.maximum)
+    if parameter.kind is float:
         descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     else:
         descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
