@@ -12,18 +12,21 @@ from fvs_ros.timeline import History
 
 #: No drive lags by more, s.
 LONGEST_LAG_S = 0.2
-#: A joint that is asked for this much, rad (m), beyond its lag, makes at least this share of it: a
-#: speed slider that nobody reports may be at a fifth.
-_ASKED_RAD, _LEAST_SHARE = 0.03, 0.15
-#: Comparisons begin anew after this much of a joint's path, rad (m); so many of them are open, far
-#: enough back for the lag at full speed.
-_APART_RAD, _OPEN = 0.015, 20
-#: A look takes a while, so there is one after this much of a joint's path, rad (m).
-_LOOK_RAD = 0.0075
+#: Least motion beyond its lag by which a joint is judged, rad (m).
+_ASKED_RAD = 0.03
+#: Least share of it that a joint makes: a speed slider that nobody reports may be at a fifth.
+_LEAST_SHARE = 0.15
+#: Comparisons begin anew after this much of a joint's path, rad (m); a look takes a while, so there
+#: is one after half of it.
+_APART_RAD = 0.5 * _ASKED_RAD
+#: Count of open comparisons: far enough back for the lag at full speed.
+_OPEN = 20
 #: Joint states may be late, or apart, by this: at 1 rad/s that is what a comparison leaves, s.
 _SURE_S = 0.025
-#: Weight of a joint state when their period is learned, and what is forgotten of lateness, s per s.
-_LEARNING, _FORGET = 0.1, 0.05
+#: Weight of a joint state when their period is learned.
+_LEARNING = 0.1
+#: What is forgotten of lateness, s per s.
+_FORGET = 0.05
 
 
 class TrackingFault(NamedTuple):
@@ -94,7 +97,7 @@ class Following:
         assert time_s is not None
         path, time_s = path + step_s * command_rad_s, time_s + step_s
         self._path.add(time_s, path)
-        if np.abs(path - self._looked).max() >= _LOOK_RAD:
+        if np.abs(path - self._looked).max() >= 0.5 * _APART_RAD:
             then_s = time_s - lag_s - self._period_s  # a command waits for a joint state, too
             late = self._path.at(then_s)
             self._look(path, then_s * self._before if late is None else late, joints_rad)

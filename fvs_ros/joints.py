@@ -26,8 +26,9 @@ UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
 
 #: After a gap in the joint states, a joint within this distance, rad, of its last position but for
 #: full turns was wrapped by the driver: the arm was held, and would otherwise go back by a turn.
-#: After a longer gap, s, somebody may have turned it.
-_HELD_RAD, _SILENCE_S = 0.25, 20.0
+_HELD_RAD = 0.25
+#: After a longer gap somebody may have turned it, s.
+_SILENCE_S = 20.0
 
 #: Fastest joint, rad/s.
 _FASTEST_RAD_S = 1.5 * pi

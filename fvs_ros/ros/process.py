@@ -81,7 +81,8 @@ def _check_names(parameters: Iterable[Parameter]) -> None:
         node, _, name = word.partition(":=")[0].rpartition(":")
         if flag in ("-p", "--param") and not name.startswith(BUILT_IN_PARAMETERS):
             node = node.rpartition("/")[2]
-            (parameters_of(node) if node in NODES else ParameterSet(parameters))[name]
+            known = parameters_of(node) if node in NODES else ParameterSet(parameters)
+            known[name]  # an error if it is none of them
 
 
 def _help(doc: str, parameters: Iterable[Parameter], takes: str) -> str:
