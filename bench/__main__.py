@@ -22,7 +22,7 @@ def names() -> list[str]:
 def main(arguments: list[str]) -> int:
     """Run the named measurements, or all; the exit code tells whether all of them finished."""
     own = next(
-        (i for i, one in enumerate(arguments) if one[0] == "-" or "/" in one), len(arguments)
+        (i for i, word in enumerate(arguments) if word[0] == "-" or "/" in word), len(arguments)
     )
     wanted, options = arguments[:own], arguments[own:]
     known = names()

@@ -18,9 +18,9 @@ from bench.timing import spread
 
 def run_demo(seed, folder):
     """Scores of one run's targets."""
-    given = ("-p", f"seed:={seed}", "-p", f"output_dir:={folder}")
+    parameters = ("-p", f"seed:={seed}", "-p", f"output_dir:={folder}")
     subprocess.run(
-        (sys.executable, "-m", "fvs_tools.launcher", "demo", *given),
+        (sys.executable, "-m", "fvs_tools.launcher", "demo", *parameters),
         cwd=ROOT,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

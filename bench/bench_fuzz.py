@@ -155,9 +155,9 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
         **world,
     ):
         """Make the world, of the plainest law by default, at rest or at work."""
-        given = {"law": law, "autostart": autostart, "max_joint_jerk_rad_s3": jerk}
-        given["command_interface"] = interface
-        JudgedWorld.__init__(self, given, **world)
+        parameters = {"law": law, "autostart": autostart, "max_joint_jerk_rad_s3": jerk}
+        parameters["command_interface"] = interface
+        JudgedWorld.__init__(self, parameters, **world)
         if at_work:
             self.work()
 
@@ -172,15 +172,15 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
 
     # ---- the operator -----------------------------------------------------------------------
 
-    @rule(way_rad=OF_JOINTS, ticks=TICKS, mend=OFTEN)
-    def work(self, way_rad=(0.3,), ticks=25, mend=True):
+    @rule(step_rad=OF_JOINTS, ticks=TICKS, mend=OFTEN)
+    def work(self, step_rad=(0.3,), ticks=25, mend=True):
         """Do all that servoing needs, mend what is broken, and go where these joints lead."""
         if mend:
             self.robot(True, 100.0, 0)
             self.show(1.0)
             self.plant, self.estimate = "obeys", self.true
         self.run(FRESH_TICKS)
-        self.send_target(self.ball() + self.true @ self._of_joints(way_rad))
+        self.send_target(self.ball() + self.true @ self._of_joints(step_rad))
         self.start()
         self.run(ticks)
 
@@ -337,8 +337,8 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
     def odd_joints(self, names=range(MOST_JOINTS), odd=None, more=0, late_s=0.0):
         """Send joint states with names (or places), positions or stamps that are odd."""
         own = self.names
-        names = [own[one] if isinstance(one, int) else one for one in names
-                 if not isinstance(one, int) or one < len(own)]  # fmt: skip
+        names = [own[name] if isinstance(name, int) else name for name in names
+                 if name not in range(len(own), MOST_JOINTS)]  # fmt: skip
         known = dict(zip(own, self.joints.tolist(), strict=True))
         positions = [known.get(name, 0.5) for name in (*names, "")][: len(names) + more]
         for index, value in (odd or {}).items():
@@ -363,7 +363,7 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
         data[list(odd)] = list(odd.values())
         size, sizes = true.size if size is None else size, true.shape if sizes is None else sizes
         message = Float64MultiArray(data=np.resize(data, size).tolist())
-        message.layout.dim = [MultiArrayDimension(size=one) for one in sizes]
+        message.layout.dim = [MultiArrayDimension(size=length) for length in sizes]
         self.send_jacobian(message)
 
     @rule(data=st.one_of(vector(8 * (MOST_JOINTS + 1), 3.0), st.lists(NUMBER, max_size=49)))
@@ -428,8 +428,8 @@ def main():
     campaign = functools.partial(play, settings=_SHRINKS)
     with multiprocessing.get_context("spawn").Pool(initializer=_heed_signals) as pool:
         seeds = range(1000 * first, 1000 * (first + chunks), 1000)
-        for found, broken in tqdm(pool.imap_unordered(campaign, seeds), "fuzz", chunks):
-            counts.update(found)
+        for played, broken in tqdm(pool.imap_unordered(campaign, seeds), "fuzz", chunks):
+            counts.update(played)
             if broken:
                 raise RuntimeError(f"a promise was broken\n{broken}")
     ticks = counts["ticks"]

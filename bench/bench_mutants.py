@@ -105,7 +105,7 @@ def disregards(**values):
     """The controller has these values, whatever it is given."""
     dry = fuzz_world.DryController
     return mock.patch.object(
-        fuzz_world, "DryController", lambda given, *rest: dry({**given, **values}, *rest)
+        fuzz_world, "DryController", lambda overrides, *rest: dry({**overrides, **values}, *rest)
     )
 
 

@@ -26,7 +26,7 @@ class DryNode(FvsNode):
     def __init__(self, name, parameters, _namespace):  # rclpy's own is left out on purpose
         self._name = self._declared_name = name
         self.parameter_set = ParameterSet(parameters)
-        self.values = self.parameter_set.values(self.given)
+        self.values = self.parameter_set.values(self.overrides)
         self.steady_clock = None
         self.published = {}  # topic -> the newest messages
         self.services_by_name = {}
@@ -34,7 +34,7 @@ class DryNode(FvsNode):
     def set_parameters_atomically(self, parameter_list):
         """Check and set, as the node does, without rclpy's own checks in between."""
         try:
-            return self._on_set([self._settable(given) for given in parameter_list])
+            return self._on_set([self._settable(parameter) for parameter in parameter_list])
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
 
@@ -70,8 +70,8 @@ class DryNode(FvsNode):
 class DryController(ControllerNode, DryNode):
     """The controller node, dry, with some parameters, a steady clock and ``use_sim_time``."""
 
-    def __init__(self, given, clock_s, simulated_time=False):
-        self.given, self.clock_s, self.simulated_time = given, clock_s, simulated_time
+    def __init__(self, overrides, clock_s, simulated_time=False):
+        self.overrides, self.clock_s, self.simulated_time = overrides, clock_s, simulated_time
         #: Called after every tick: its command, the steady clock and the time step, s.
         self.on_tick = _nothing
         super().__init__()

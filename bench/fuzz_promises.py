@@ -31,8 +31,8 @@ LATE_S, MARGIN = 1.0, 1.5
 class JudgedWorld(World):
     """A world in which each command of the controller is judged."""
 
-    def __init__(self, given=None, **world):
-        super().__init__(given, **world)
+    def __init__(self, parameters=None, **world):
+        super().__init__(parameters, **world)
         self._ticked_s = -math.inf
         self._held_s = self._stopping_s = 0.0
         self._ignored_rad = np.zeros(self.joints.size)
@@ -43,7 +43,7 @@ class JudgedWorld(World):
 
     def _begin_image(self):
         """Count anew what the arm does on a wrong image."""
-        self._from_m, self._way_m, self._fastest_m_s = self.arm_moved_m(), 0.0, 0.0
+        self._from_m, self._travel_m, self._fastest_m_s = self.arm_moved_m(), 0.0, 0.0
 
     def judge(self, command, now_s, dt_s):
         """Judge a tick: steady clock and time step, s."""
@@ -111,16 +111,16 @@ class JudgedWorld(World):
         """On the wire is what was decided, and of a position the step of one period."""
         same = not dt_s and np.array_equal(v, self.before)  # then it need not be repeated
         if not self.positions:
-            sent = all(np.array_equal(one.data, v) for one in self.wire)
-            keep("sends what it decided", sent and (same or self.wire), v, self.wire)
+            decided = all(np.array_equal(sent.data, v) for sent in self.wire)
+            keep("sends what it decided", decided and (same or self.wire), v, self.wire)
             return
         # Before the first motion of a session the joints may not be where they were measured.
         active = (self.node._loop.supervisor.started and self.goes_to is not None) or v.any()
         lock_step = self.node.simulated_time
         keep("positions in a session only", active or lock_step or not self.wire, self.wire)
         keep("positions all the time", self.wire or same or not active, v)
-        for one in self.wire:
-            to = np.array(one.data)
+        for sent in self.wire:
+            to = np.array(sent.data)
             start = self.joints if self.goes_to is None else self.goes_to
             most = TICK_S * self.values["max_joint_velocity_rad_s"] * self.limits.share
             near = np.all(np.abs(to - start) <= most + ROUNDING)
@@ -236,7 +236,7 @@ class JudgedWorld(World):
             return
         speed_m_s = np.linalg.norm(self.true @ self.drive)
         self._fastest_m_s = max(self._fastest_m_s, speed_m_s)
-        self._way_m += speed_m_s * dt_s
+        self._travel_m += speed_m_s * dt_s
         # It is found after 3 cm of predicted motion; an arm that is fast needs half a second, too,
         # and a slow camera six images.
         least_m = 0.03 + max(0.5, 6.0 * self.image_period_s()) * self._fastest_m_s
@@ -245,7 +245,7 @@ class JudgedWorld(World):
             keep("a frozen image is held", astray_m < least_m, astray_m)
         elif self.seen_share == -1.0 and self.values["prediction_hold"] < 1.5:
             least_m += SupervisorConfig.prediction_hold_m
-            keep("a wrong Jacobian is held", self._way_m < least_m, self._way_m)
+            keep("a wrong Jacobian is held", self._travel_m < least_m, self._travel_m)
 
 
 class _Errand:

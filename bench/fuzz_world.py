@@ -77,21 +77,21 @@ def keep(promise, kept, *how):
 class World:
     """A controller node, an arm, a ball, an estimator and an operator.
 
-    ``given`` are parameters of the node that are not at their defaults; with ``simulated_time`` it
+    ``parameters`` are those of the node that are not at their defaults; with ``simulated_time`` it
     takes its time steps from the stamps, which begin at ``epoch_s``. The arm has 4 to 7 joints.
     """
 
-    def __init__(self, given=None, simulated_time=False, epoch_s=1000.0, joints=6):
+    def __init__(self, parameters=None, simulated_time=False, epoch_s=1000.0, joints=6):
         self.home_rad, self.true = _HOME_RAD[:joints], _JACOBIAN[:, :joints]
         # From no place to an end is it a full turn: that would be no jump, but a driver that wraps.
         arm = {"joint_min_rad": [-3.6] * joints, "joint_max_rad": [3.6] * joints}
         if joints != len(UR_JOINT_NAMES):
             arm["joint_names"] = [f"joint_{number}" for number in range(joints)]
-        given = {**arm, "joint_state_rate_hz": 1.0 / TICK_S, **(given or {})}
-        self.values = ParameterSet(PARAMETERS).values(given)
+        parameters = {**arm, "joint_state_rate_hz": 1.0 / TICK_S, **(parameters or {})}
+        self.values = ParameterSet(PARAMETERS).values(parameters)
         self.limits = JointLimits.from_values(self.values)
         self.now_s, self.ros_s = 100.0, epoch_s
-        self.node = DryController(given, lambda: self.now_s, simulated_time)
+        self.node = DryController(parameters, lambda: self.now_s, simulated_time)
         self.node.on_tick = self._on_tick
         self.positions = self.values["command_interface"] == POSITION
         topic = topics.POSITION_COMMANDS if self.positions else topics.COMMANDS
@@ -103,7 +103,7 @@ class World:
         self.plant = "obeys"
         self.joints = self.home_rad.copy()
         self.drive = np.zeros(joints)  # the drives' speed, rad/s
-        self.honest = True  # since the start the arm did what it was told, as far as it was told
+        self.honest = True  # since the start the arm did what it was told, as far as it could
         self.push_m = np.zeros(HOME_BALL_M.size)  # what moved the ball beside the arm
         self.seen_share = 1.0  # of the ball's motion, that the camera shows
         self.estimate = self.true

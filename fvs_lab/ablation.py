@@ -13,7 +13,7 @@ from fvs_lab.results import Results, label_of
 #: The scheme without a change, and rows that the claims name.
 BASE = "as it comes"
 PRINTED, PRINTED_SAME = "as printed, its own gains", "as printed, same gains"
-FROZEN, ORACLE, TURNED = "no online update", "true Jacobian", "camera carried round by 20°"
+FROZEN, ORACLE, CARRIED = "no online update", "true Jacobian", "camera carried round by 20°"
 CAPPED, UNCAPPED = "gain 100 times as high, capped", "gain 100 times as high, cap off"
 #: Latency, ms, and the factor on alpha2 and alpha3 without prediction: of 0.5, 0.35, 0.25 and 0.15
 #: the fastest to 5 mm on other cases.
@@ -57,9 +57,9 @@ def variants() -> Iterator[trials.Trial]:
         yield change(blind, name, conditions=late, predicts=False)
         yield change(f"{blind}, softer gains", name, conditions=late, predicts=False,
                   controller=softer)  # fmt: skip
-    turned = {"camera_carried_deg": (0.0, 20.0, 0.0)}
-    yield change(TURNED, conditions=turned)
-    yield change(f"20°, {FROZEN}", TURNED, method="frozen", conditions=turned)
+    carried = {"camera_carried_deg": (0.0, 20.0, 0.0)}
+    yield change(CARRIED, conditions=carried)
+    yield change(f"20°, {FROZEN}", CARRIED, method="frozen", conditions=carried)
 
 
 def measure(context: lab.Context) -> Results:
@@ -88,7 +88,7 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
     yield lab.ours("same_gains", *same, any_of=True)
     yield lab.ours("prediction", *(ratio(name) for name in blind))
     yield lab.papers("update", *slower(FROZEN), any_of=True)
-    yield lab.papers("turned", *slower(f"20°, {FROZEN}"), any_of=True)
+    yield lab.papers("carried", *slower(f"20°, {FROZEN}"), any_of=True)
     yield lab.ours("oracle", lab.below("settling time over that with it", oracle, 1.1))
     wrong = ratio(UNCAPPED, "jacobian_error", least=2.0)
     yield lab.ours("cap", ratio(UNCAPPED), wrong, any_of=True)

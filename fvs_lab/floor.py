@@ -86,7 +86,7 @@ def least_time_s(
     joints = len(travel)
     unit, travels, speeds, pieces, paths = _unknowns(joints, piece_s)
     rest = speeds + piece_s * pieces.sum(axis=0)
-    ways, ways_rad = np.repeat([1.0, -1.0], joints), np.vstack([travels, -travels])
+    signs, either_rad = np.repeat([1.0, -1.0], joints), np.vstack([travels, -travels])
     arm = ur5() if arm is None else arm
     target_m = arm.position(goal * share)
 
@@ -101,14 +101,14 @@ def least_time_s(
         return -2.0 * np.einsum("kx,kxj,kjn->kn", missing, arm.jacobian(joints) * share, paths)
 
     def reached(unknown: np.ndarray) -> np.ndarray:
-        return limits.furthest(ways * np.tile(speeds @ unknown, 2), unknown[0])[0] - (
-            ways_rad @ unknown
+        return limits.furthest(signs * np.tile(speeds @ unknown, 2), unknown[0])[0] - (
+            either_rad @ unknown
         )
 
     def reached_slopes(unknown: np.ndarray) -> np.ndarray:
-        _, over_speed, over_time = limits.furthest(ways * np.tile(speeds @ unknown, 2), unknown[0])
-        over_speeds = (ways * over_speed)[:, None] * np.vstack([speeds, speeds])
-        return np.outer(over_time, unit[0]) + over_speeds - ways_rad
+        _, over_speed, over_time = limits.furthest(signs * np.tile(speeds @ unknown, 2), unknown[0])
+        over_speeds = (signs * over_speed)[:, None] * np.vstack([speeds, speeds])
+        return np.outer(over_time, unit[0]) + over_speeds - either_rad
 
     solution = minimize(
         lambda unknown: unknown[0],

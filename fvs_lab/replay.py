@@ -75,8 +75,8 @@ class Status(NamedTuple):
 class Recording:
     """What a bag holds.
 
-    ``series`` may have ``joints`` (velocities, rad/s), ``seen``, ``true`` and ``target`` (features,
-    m), ``velocities`` and ``positions`` (commands, rad/s and rad).
+    ``series`` may have ``joints`` (velocities, rad/s), ``measured``, ``true`` and ``target``
+    (features, m), ``velocities`` and ``positions`` (commands, rad/s and rad).
     """
 
     kind: Kind
@@ -109,7 +109,7 @@ def read(path: Path, namespace: str | None = None) -> Recording:
     """
     with open_bag(path) as reader:
         started, declared = _notes(reader.notes)
-        names = [declared.get(one.topic, one.topic) for one in reader.connections]
+        names = [declared.get(each.topic, each.topic) for each in reader.connections]
         ends = {name.rpartition("/")[2] for name in names}
         kinds = [name for name, kind in KINDS.items() if kind.topics.tool.name in ends]
         if kinds:
@@ -119,7 +119,7 @@ def read(path: Path, namespace: str | None = None) -> Recording:
         joint_map = JointMap(started["joint_names"], started["tf_prefix"])
         keys = {
             topics.JOINT_STATES: "joints",
-            kind.topics.tool: "seen",
+            kind.topics.tool: "measured",
             kind.topics.truth: "true",
             kind.topics.target: "target",
             topics.COMMANDS: "velocities",
@@ -223,7 +223,7 @@ def targets(recording: Recording) -> list[Target]:
     judged, end_s = [], inf
     for i, j in reversed(list(pairwise([*starts, None]))):
         run = Series(series.time_s[i:j], series.values[i:j])
-        statuses = [one for one in recording.statuses if run.time_s[0] <= one.time_s < end_s]
+        statuses = [each for each in recording.statuses if run.time_s[0] <= each.time_s < end_s]
         if statuses and not any(_shows(status, run) for status in statuses):
             continue  # the controller refused it
         judged.append(_judged(recording, run, statuses, end_s))
@@ -248,7 +248,7 @@ def _judged(recording: Recording, run: Series, statuses: Sequence[Status], end_s
             end_s = status.time_s
             break
         begun, reason = begun or (started and _shows(status, run)), status.reason
-    features = series.get("true") or series.get("seen") or _NOTHING
+    features = series.get("true") or series.get("measured") or _NOTHING
     time_s, features_m = features.between(start_s, end_s)
     wanted_m = run.values[np.searchsorted(run.time_s, time_s, side="right") - 1]
     errors_m = np.array(list(map(kind.minus, features_m, wanted_m)))

@@ -65,11 +65,11 @@ class Worlds:
             vectors = ("camera_carried_deg", "bump_rotation_deg", "bump_shift_m")
             rotation_deg, *blow = (along(rng.normal(size=3), amount[name]) for name in vectors)
             bump = Bump(amount["bump_time_s"], *blow) if bumped else None
-            turned = Conditions(feature=self.feature, camera_carried_deg=rotation_deg)
-            if sees_all(turned, (case.start_rad, case.goal_rad), bump):
+            carried = Conditions(feature=self.feature, camera_carried_deg=rotation_deg)
+            if sees_all(carried, (case.start_rad, case.goal_rad), bump):
                 # Images would change little, and take three times as long.
                 changes |= {"camera_carried_deg": rotation_deg, "rendered": False}
-                world = replace(turned, **changes)
+                world = replace(carried, **changes)
                 labels = {"world": number, "case": case.name}
                 return Trial(
                     conditions=world,

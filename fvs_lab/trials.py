@@ -133,8 +133,8 @@ class Bump:
 
     def strike(self, simulation: Simulation) -> None:
         """Move the camera."""
-        turned = simulation.camera.turned(np.radians(self.rotation_deg))
-        simulation.camera = turned.moved(np.array(self.translation_m))
+        rotated = simulation.camera.turned(np.radians(self.rotation_deg))
+        simulation.camera = rotated.moved(np.array(self.translation_m))
 
 
 # ---- what is run ----------------------------------------------------------------------------
@@ -357,13 +357,13 @@ def drive(trial: Trial, simulation: Simulation) -> dict[str, Any]:
     series = {}
     if trial.record:
         none = np.full(loop.kind.size, np.nan)
-        outputs = [command.output for command in commands]
+        outputs = (command.output for command in commands)
         series = {
             "time_s": np.array(times_s),
             "feature_m": np.array(features_m),
             "error_m": np.array(errors_m),
             "command_rad_s": np.array([command.velocity_rad_s for command in commands]),
-            "exponent": np.array([none if one is None else one.exponent for one in outputs]),
+            "exponent": np.array([out.exponent if out else none for out in outputs]),
         }
     judged = outcome(np.array(times_s), np.array(errors_m), commands, np.array(jacobian_errors))
     return {**trial.labels, **judged, "target_m": tuple(target_m.tolist()), "series": series}

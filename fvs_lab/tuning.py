@@ -32,8 +32,8 @@ def variant(knob: str, value: float) -> Trial:
     """A value of a knob, and of what goes with it."""
     trial = Trial(record=True).changed({"parameter": knob, "value": value})
     if knob == "rbf.n1":
-        turned = {"camera_carried_deg": (45.0, 0.0, 0.0)}
-        return trial.changed(estimator={knob: value}, conditions=turned)
+        carried = {"camera_carried_deg": (45.0, 0.0, 0.0)}
+        return trial.changed(estimator={knob: value}, conditions=carried)
     goes_with = {
         "max_joint_velocity_rad_s": {"max_joint_acceleration_rad_s2": 6.0 * value},
         "alpha3": {"alpha2": 1.5 * value},
@@ -49,7 +49,7 @@ def measure(context: lab.Context) -> Results:
 
 
 def claims(runs: Results) -> Iterator[lab.Claim]:
-    """What each knob is for; none for knobs that were not turned."""
+    """What each knob is for; none for knobs that a quick run left."""
     knobs = runs.groups("parameter", "value")
     for name, parameter, value, other, metric, bound in CLAIMS:
         if (parameter, value) in knobs:
