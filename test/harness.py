@@ -314,7 +314,7 @@ class PlayedRobot:
         )
         self.joints = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
         self.ball = np.array([0.0, 0.1, 1.4])
-        self.velocity, self.obeys = np.zeros(6), True
+        self.velocity = np.zeros(6)
         self.silent: set[str] = set()  # topics that are not published for now
         #: Topic -> function from a message to those that are sent in its place.
         self.spoil: dict[str, Callable[[Any], list]] = {}
@@ -351,7 +351,7 @@ class PlayedRobot:
 
     def _step(self) -> None:
         now_s = time.monotonic()
-        moved = self.obeys * self.velocity * (now_s - self._last_s)
+        moved = self.velocity * (now_s - self._last_s)
         self._last_s = now_s
         self.joints = self.joints + moved
         self.ball = self.ball + self.jacobian @ moved

@@ -119,27 +119,6 @@ def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
     np.testing.assert_allclose(ros.from_feature(targets[-1], Ball(), CAMERA_FRAME, ""), there)
 
 
-def test_what_the_controller_refuses_stands_on_the_page(loop):
-    harness, _, _, _, page = loop
-
-    start(harness, page)
-    harness.spin_until(lambda: page.value("Law") == "ftsm", what="the law that runs")
-    page.set("Law", "proportional")
-    words = "the law changes only while the arm is stopped; press Stop first"
-    harness.spin_until(lambda: words in page.text(), 10.0, "the refusal", page.text)
-    harness.spin_until(lambda: page.value("Law") == "ftsm", what="the law that still runs")
-    page.press("Stop")
-    wait_for_state(harness, page, "READY")
-    page.set("Law", "proportional")
-    wanted = GetParameters.Request(names=["law"])
-
-    def law():
-        service = f"{topics.CONTROLLER}/get_parameters"
-        return harness.call(GetParameters, service, wanted).values[0].string_value
-
-    harness.spin_until(lambda: law() == "proportional", what="the other law")
-
-
 def test_a_controller_that_is_gone_shows_and_a_later_one_waits_for_a_target(ros_module, loop):
     harness, _, controller, process, page = loop
     set_target(page, (0.0, 0.1, 1.4))

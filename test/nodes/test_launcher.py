@@ -160,7 +160,6 @@ REFUSED = [
     (SERVO, ["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "unknown parameter 'method'"),
     (SERVO, ["--ros-args", "-p", "methot:=poe"], "did you mean method"),
     ("fvs_sim_node.node", {"gui": True}, "gui needs a display"),
-    ("fvs_sim_node.node", {"urdf_path": "/nowhere.urdf"}, "/nowhere.urdf"),
     (
         "fvs_detector_node.node",
         {"feature": "pose", "tag_dictionary": "4X4_50", "tag_id": 50},
@@ -168,7 +167,6 @@ REFUSED = [
     ),
     ("fvs_estimator_node.node", {"model_path": "nowhere.npz"}, "model_path"),
     ("fvs_estimator_node.node", {"feature_frame": "other_frame"}, "other_frame"),
-    ("fvs_controller_node.node", {"lambda1": 0.2, "lambda2": 0.3}, "lambda"),
     ("fvs_controller_node.node", {"alpha_1": 1.0}, "'alpha_1'; did you mean alpha1?"),
     ("fvs_estimator_node.collector_node", {"output_path": "/proc/nowhere/x.npz"}, "output_path"),
     ("fvs_dashboard.dashboard_node", {"host": "203.0.113.1"}, "cannot be served at 203.0.113.1"),
