@@ -12,7 +12,7 @@ def each(names, cases):
 
     def of(test):
         signature = inspect.signature(test)
-        fixtures = [one for name, one in signature.parameters.items() if name not in names]
+        fixtures = [item for name, item in signature.parameters.items() if name not in names]
 
         @functools.wraps(test)
         def run(*args, **kwargs):

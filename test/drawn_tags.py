@@ -23,9 +23,12 @@ def corners_px(rotation, position_m, camera=VGA, size_m=SIZE_M):
 
 def random_pose(rng, most_tilt_rad=1.1, camera=VGA):
     """A tag in view that looks at the camera: its rotation and position, m."""
-    tilt, way, spin = rng.uniform(0.0, most_tilt_rad), *rng.uniform(0.0, 2 * np.pi, 2)
+    tilt, direction_rad, spin = rng.uniform(0.0, most_tilt_rad), *rng.uniform(0.0, 2 * np.pi, 2)
     facing = np.diag([1.0, -1.0, -1.0]) @ cv2.Rodrigues(np.array([0.0, 0.0, spin]))[0]
-    rotation = cv2.Rodrigues(tilt * np.array([np.cos(way), np.sin(way), 0.0]))[0] @ facing
+    rotation = (
+        cv2.Rodrigues(tilt * np.array([np.cos(direction_rad), np.sin(direction_rad), 0.0]))[0]
+        @ facing
+    )
     z = rng.uniform(0.4, 1.2)
     room = 0.8 * np.array([camera.width / camera.fx, camera.height / camera.fy]) / 2.0
     return rotation, z * np.append(rng.uniform(-room, room), 1.0)

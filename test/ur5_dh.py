@@ -28,7 +28,7 @@ def frames(joints_rad: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     q = np.asarray(joints_rad, dtype=float)
     zero = np.zeros(q.shape[:-1])
     rotation, origin = np.broadcast_to(np.eye(3), (*zero.shape, 3, 3)), np.zeros((*zero.shape, 3))
-    found = [(rotation, origin)]
+    poses = [(rotation, origin)]
     for i in range(6):
         c, s = np.cos(q[..., i]), np.sin(q[..., i])
         ca, sa = np.cos(DH_ALPHA[i]), np.sin(DH_ALPHA[i])
@@ -37,16 +37,16 @@ def frames(joints_rad: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         offset = np.stack([DH_A[i] * c, DH_A[i] * s, zero + DH_D[i]], axis=-1)
         origin = origin + np.einsum("...ij,...j->...i", rotation, offset)
         rotation = rotation @ step
-        found.append((rotation, origin))
-    return found
+        poses.append((rotation, origin))
+    return poses
 
 
 def axes_origins_ball(joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Axes (..., 6, 3), points on them, m, (..., 6, 3), and ball, m, (..., 3), in the base."""
     *joints, (rotation, origin) = frames(joints_rad)
-    axes = np.stack([one[..., :, 2] for one, _ in joints], axis=-2)
+    axes = np.stack([rotation[..., :, 2] for rotation, _ in joints], axis=-2)
     ball = origin + BALL_BEYOND_FLANGE_M * rotation[..., :, 2]
-    return axes, np.stack([one for _, one in joints], axis=-2), ball
+    return axes, np.stack([point for _, point in joints], axis=-2), ball
 
 
 def flange_pose(joints_rad: np.ndarray) -> np.ndarray:

@@ -69,33 +69,33 @@ def violations(path, source):
     may_ros = in_ros or file.name.endswith("node.py") or path == BAGS
     modules = imported_modules(path, source)
     packages = {module.partition(".")[0] for module in modules}
-    found = []
+    broken = []
 
     for package in sorted(packages):
         if is_ros(package) and not may_ros:
-            found.append(f"{path} imports {package}: only *node.py and {ROS_HOME} know ROS")
+            broken.append(f"{path} imports {package}: only *node.py and {ROS_HOME} know ROS")
         if package == "pybullet" and home != SIMULATOR:
-            found.append(f"{path} imports pybullet: only {SIMULATOR} may")
+            broken.append(f"{path} imports pybullet: only {SIMULATOR} may")
         if package == "torch" and path != TRAINING:
-            found.append(f"{path} imports torch: only {TRAINING} may")
+            broken.append(f"{path} imports torch: only {TRAINING} may")
         inside = package == home or floor_of(package) is None or (home, package) in BESIDE
         if not inside and floor_of(package) >= floor_of(home):
-            found.append(f"{path} imports {package}: it is not on a floor below")
+            broken.append(f"{path} imports {package}: it is not on a floor below")
         if home == "fvs_ros" and not (
             package in GROUND_MAY_IMPORT
             or package in sys.stdlib_module_names
             or (package == "cv2" and path == IMAGES)
             or (is_ros(package) and in_ros)
         ):
-            found.append(f"{path} imports {package}: fvs_ros stays on numpy and stdlib")
+            broken.append(f"{path} imports {package}: fvs_ros stays on numpy and stdlib")
     if "fvs_ros.ros" in modules and not may_ros:
-        found.append(f"{path} imports fvs_ros.ros and so rclpy: only *node.py may")
+        broken.append(f"{path} imports fvs_ros.ros and so rclpy: only *node.py may")
     if (
         IMAGES.removesuffix(".py").replace("/", ".") in modules
         and path == f"{ROS_HOME}/__init__.py"
     ):
-        found.append(f"{path} imports cv2 for every node")
-    return found
+        broken.append(f"{path} imports cv2 for every node")
+    return broken
 
 
 @each("path", SOURCES)

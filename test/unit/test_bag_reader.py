@@ -1,7 +1,8 @@
-"""Whatever a recorder left of a bag is read, by the one reader of every program."""
+"""Whatever a recorder left of a bag is read, by the reader of every program."""
 
 import shutil
 import sqlite3
+from dataclasses import replace
 
 import pytest
 
@@ -11,10 +12,12 @@ pytest.importorskip("mcap")
 
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
-from replayed_bags import file_in, servo, write_bag
+from replayed_bags import T, file_in, message, servo, write_bag
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2.storage_mcap import zstd
 
+from fvs_tools import launcher
+from fvs_tools.bag import Message, SimulatedTime
 from fvs_tools.bag_reader import BagError, open_bag
 
 
@@ -137,3 +140,38 @@ def test_a_lost_part_is_said_and_the_rest_is_read(tmp_path, whole):
     (folder / "bag.mcap").unlink()
     with pytest.raises(BagError, match="neither metadata"):
         content(folder)
+
+
+# --- what goes into a bag ---
+
+
+def test_a_recorder_that_cannot_begin_ends_the_launch(tmp_path, monkeypatch, capfd):
+    entry = replace(launcher.NODE_TABLE[launcher.RECORDER], module="no_such_module")
+    monkeypatch.setitem(launcher.NODE_TABLE, launcher.RECORDER, entry)
+    monkeypatch.setattr(launcher.stop, "RECEIVED", [])
+    assert launcher.main(["servo", "--record", str(tmp_path / "bag")]) == 1
+    printed = capfd.readouterr().out
+    assert "No module named no_such_module" in printed
+    assert "fvs_recorder_node ended with exit code 1: stopping the rest" in printed
+    assert "started" not in printed
+
+
+def clock(seconds, nanoseconds):
+    time = T["builtin_interfaces/msg/Time"](seconds, nanoseconds)
+    return message("clock", "rosgraph_msgs/msg/Clock", 0.0, time)
+
+
+def at(stamp_ns):
+    return Message("/joint_states", "sensor_msgs/msg/JointState", stamp_ns, b"")
+
+
+def stamps(time, *messages):
+    return [sent.stamp_ns for message in messages for sent in time.stamped(message)]
+
+
+def test_simulated_time_is_that_of_the_last_clock_or_the_first():
+    time = SimulatedTime()
+    assert stamps(time, at(1), at(2)) == []
+    assert stamps(time, clock(7, 5)) == [7_000_000_005] * 3
+    assert stamps(time, at(3), clock(8, 0), at(4)) == [7_000_000_005, 8 * 10**9, 8 * 10**9]
+    assert time.rest() == []

@@ -94,8 +94,10 @@ def test_zeros_of_the_joints_are_found_where_a_camera_can_tell_them():
     np.testing.assert_allclose(estimate.mean.zeros[1:-1], zeros[1:-1], atol=np.radians(0.1))
     assert np.isinf(estimate.deviation.zeros[[0, -1]]).all()
     # The first joint's zero turns the arm's base before the camera.
-    turn = Rotation.from_rotvec(-zeros[0] * ARM.axes[0]).as_matrix()
-    moved = replace(CAMERA, position_m=turn @ CAMERA.position_m, rotation=turn @ CAMERA.rotation)
+    rotation = Rotation.from_rotvec(-zeros[0] * ARM.axes[0]).as_matrix()
+    moved = replace(
+        CAMERA, position_m=rotation @ CAMERA.position_m, rotation=rotation @ CAMERA.rotation
+    )
     off_m, off_rad, _ = errors(estimate, moved)
     assert off_m < 3e-3
     assert off_rad < np.radians(0.3)
@@ -268,8 +270,8 @@ def test_the_program_writes_transform_picture_and_command(tmp_path, capsys):
     assert "good: the camera is known to" in printed
     content = yaml.safe_load(out.read_text())
     np.testing.assert_allclose(content["translation_m"], CAMERA.position_m, atol=1e-3)
-    turn = Rotation.from_quat(content["rotation_xyzw"]).as_matrix()
-    assert rotation_angle_rad(turn.T @ CAMERA.rotation) < 2e-3
+    rotation = Rotation.from_quat(content["rotation_xyzw"]).as_matrix()
+    assert rotation_angle_rad(rotation.T @ CAMERA.rotation) < 2e-3
     assert content["static_transform"] in printed
     assert "--frame-id base_link --child-frame-id" in printed
     assert np.array(content["covariance"]).shape == (6, 6)

@@ -75,31 +75,31 @@ def made(method, networks):
 def see(estimator, chain, joints, rng):
     """Let it see a ball on a chain at joints, rad, shape (k, n)."""
     balls = chain.position(joints) + NOISE_M * rng.normal(size=(len(joints), 3))
-    for one, ball in zip(joints, balls, strict=True):
-        estimator.observe(one, ball, NOISE_M)
+    for angles, ball in zip(joints, balls, strict=True):
+        estimator.observe(angles, ball, NOISE_M)
 
 
 @pytest.mark.parametrize(("method", "within"), [("poe", 0.01), ("rbf_left", 0.12)])
 def test_the_jacobian_behind_a_turned_camera(networks, method, within):
     estimator, rng = made(method, networks), np.random.default_rng(0)
     seen = ur5_chain().moved(TURNED, np.array([0.1, -0.2, 0.1]))
-    joints, places = Recording().joints(np.arange(90) / 15.0), Recording().places()
+    joints, probes = Recording().joints(np.arange(90) / 15.0), Recording().places()
     begun = estimator.jacobian(joints[0])
     see(estimator, seen, joints, rng)
-    learned = np.array([estimator.jacobian(q) for q in places])
-    assert np.median(relative_error(learned, seen.jacobian(places))) < within
+    learned = np.array([estimator.jacobian(q) for q in probes])
+    assert np.median(relative_error(learned, seen.jacobian(probes))) < within
     values = estimator.status_values()
     assert values["camera_turned_deg"] == pytest.approx(45.0, abs=3.0)
     assert values["updates"] == estimator.updates > 50
     if method == "poe":
         np.testing.assert_allclose(
-            estimator.chain.position(places), seen.position(places), atol=0.01
+            estimator.chain.position(probes), seen.position(probes), atol=0.01
         )
-        np.testing.assert_allclose(estimator.chain.jacobian(places), learned, atol=1e-9)
+        np.testing.assert_allclose(estimator.chain.jacobian(probes), learned, atol=1e-9)
     # A rest forgets nothing, though encoders are noisy.
     see(estimator, seen, joints[-1] + 1e-4 * rng.normal(size=(3000, 6)), rng)
-    rested = np.array([estimator.jacobian(q) for q in places])
-    assert np.median(relative_error(rested, seen.jacobian(places))) < within
+    rested = np.array([estimator.jacobian(q) for q in probes])
+    assert np.median(relative_error(rested, seen.jacobian(probes))) < within
     estimator.reset()
     assert estimator.updates == 0
     np.testing.assert_array_equal(estimator.jacobian(joints[0]), begun)

@@ -12,7 +12,7 @@ from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 def random_chain(seed=0, joints=6, features=3):
     rng = np.random.default_rng(seed)
     lengths = {"n": joints, "m": features}
-    shapes = ([lengths.get(side, side) for side in one] for one in CHAIN_SHAPES.values())
+    shapes = ([lengths.get(side, side) for side in sides] for sides in CHAIN_SHAPES.values())
     *numbers, prismatic = (rng.normal(size=shape) for shape in shapes)
     return SerialChain(*numbers, prismatic > 0.5)
 

@@ -18,9 +18,9 @@ from fvs_ros.kinds.pose import Pose
 
 def error_of(fit, recording):
     """Median relative error of the Jacobian in the recording's box."""
-    places = recording.places()
-    true = recording.chain().jacobian(places)
-    return float(np.median(relative_error(fit.chain.jacobian(places), true)))
+    probes = recording.places()
+    true = recording.chain().jacobian(probes)
+    return float(np.median(relative_error(fit.chain.jacobian(probes), true)))
 
 
 @each("features", [3, 12])
@@ -97,10 +97,10 @@ def test_it_says_how_good_it_is_with_a_camera_and_joints_that_err(scales, encode
     recording = Recording()
     data = with_encoder_noise(encoder_noise_rad, recording.data())
     fit = fit_chain(replace(data, z=data.z * scales))
-    places = recording.places(50)
-    seen = np.diag(scales) @ recording.chain().jacobian(places)
-    error = np.median(relative_error(fit.chain.jacobian(places), seen))
-    assert 0.5 * error < np.median(fit.jacobian_deviation(places)) < 2.0 * error
+    probes = recording.places(50)
+    seen = np.diag(scales) @ recording.chain().jacobian(probes)
+    error = np.median(relative_error(fit.chain.jacobian(probes), seen))
+    assert 0.5 * error < np.median(fit.jacobian_deviation(probes)) < 2.0 * error
 
 
 def test_a_wrong_optimum_that_fits_nearly_as_well_is_left():
@@ -122,8 +122,8 @@ def test_a_wrong_optimum_that_fits_nearly_as_well_is_left():
     bad = rng.random(1800) < 0.02
     ball[bad] += 0.03 * rng.normal(size=(int(bad.sum()), 3))
     fit = fit_chain(DataSet(stamps, joints(stamps), ball, np.zeros(1800, dtype=int)))
-    places = ur5_dh.HOME_RAD + rng.uniform(-0.5, 0.5, (60, 6))
-    error = relative_error(fit.chain.jacobian(places), chain.jacobian(places))
+    probes = ur5_dh.HOME_RAD + rng.uniform(-0.5, 0.5, (60, 6))
+    error = relative_error(fit.chain.jacobian(probes), chain.jacobian(probes))
     assert np.median(error) < 0.002
     assert fit.misfit < 1.05
 
@@ -134,11 +134,11 @@ def test_a_joint_that_stood_still_spoils_no_other():
     reach[still] = 0.0
     recording = Recording(reach_rad=tuple(reach))
     fit = fit_chain(recording.data())
-    places = recording.places()
+    probes = recording.places()
     others = np.delete(np.arange(6), still)
-    error = fit.chain.jacobian(places) - recording.chain().jacobian(places)
+    error = fit.chain.jacobian(probes) - recording.chain().jacobian(probes)
     assert np.linalg.norm(error[:, :, others], axis=(1, 2)).max() < 0.01
-    assert np.median(fit.jacobian_deviation(places[:20])) > 0.3
+    assert np.median(fit.jacobian_deviation(probes[:20])) > 0.3
 
 
 def swinging(recording):
@@ -205,9 +205,9 @@ def pose_recording(recording, noise_m=3e-4, noise_rad=1e-3):
 def test_a_tag_on_the_last_axis_is_fitted_to_less_than_a_thousandth():
     recording = Recording()
     chain, data = pose_recording(recording)
-    fit, places = fit_chain(data), recording.places()
-    true = chain.jacobian(places)
-    assert relative_error(fit.chain.jacobian(places), true).max() < 1e-3
+    fit, probes = fit_chain(data), recording.places()
+    true = chain.jacobian(probes)
+    assert relative_error(fit.chain.jacobian(probes), true).max() < 1e-3
     assert fit.time_offset_s == pytest.approx(recording.late_s, abs=1e-3)
     assert fit.is_chain
-    assert np.median(fit.jacobian_deviation(places)) < 1e-3
+    assert np.median(fit.jacobian_deviation(probes)) < 1e-3

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from cases import each
 
 from fvs_controller_node.base import ControlInput
 from fvs_controller_node.config import LAWS, default_values, make_law
@@ -15,25 +14,21 @@ from fvs_controller_node.redundancy import DampedInverse
 JACOBIAN = np.random.default_rng(0).normal(size=(3, 6))
 
 
-@settings(max_examples=100, deadline=None)
-@given(
-    error=st.lists(st.floats(-50.0, 50.0), min_size=3, max_size=3),
-    entries=st.lists(st.floats(-20.0, 20.0), min_size=18, max_size=18),
-    applied=st.lists(st.floats(-4.0, 4.0), min_size=6, max_size=6),
-    name=st.sampled_from(list(LAWS)),
-    weight=st.floats(1e-4, 100.0),
-    discretisation=st.sampled_from(["implicit", "literal"]),
-    dt_s=st.floats(1e-5, 0.1),
-)
-def test_every_law_is_built_by_name_and_finite_whatever_comes(
-    *, error, entries, applied, name, weight, discretisation, dt_s
-):
+@each("seed", range(50))
+@each("name", LAWS)
+def test_every_law_is_built_by_name_and_finite_whatever_comes(name, seed):
+    rng = np.random.default_rng(seed)
+    weight, discretisation = 10.0 ** rng.uniform(-4.0, 2.0), ["implicit", "literal"][seed % 2]
     law = make_law(
         default_values(law=name, mfac_lambda=weight, mpc_q=weight, discretisation=discretisation)
     )
-    jacobian = np.array(entries).reshape(3, 6)
-    given = ControlInput(np.array(error), jacobian, np.array(applied), np.zeros(6), dt_s)
-    out = law.command(given)
+    # Numbers of any magnitude, and zeros.
+    error, jacobian, applied = (
+        rng.uniform(-1.0, 1.0, shape) * rng.choice([0.0, 1e-9, 1.0, 20.0], shape)
+        for shape in (3, (3, 6), 6)
+    )
+    dt_s = 10.0 ** rng.uniform(-5.0, -1.0)
+    out = law.command(ControlInput(error, jacobian, applied, np.zeros(6), dt_s))
     assert np.isfinite(out.velocity_rad_s).all()
     assert out.velocity_rad_s.shape == (6,)
     assert out.sliding_variable.shape == out.exponent.shape == (3,)

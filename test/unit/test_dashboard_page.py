@@ -25,8 +25,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def served(port=0):
-    given = config.DashboardConfig(port=port, model_path="any")
-    return Page(given, UR_JOINT_NAMES, lambda action: None)
+    values = config.DashboardConfig(port=port, model_path="any")
+    return Page(values, UR_JOINT_NAMES, lambda action: None)
 
 
 @pytest.fixture
@@ -72,8 +72,8 @@ def test_a_request_for_a_public_tunnel_is_refused(page, monkeypatch):
 def test_the_versions_of_viser_are_the_same_everywhere():
     bounds = config.VISER.removeprefix("viser[urdf]")
     for name in ("README.md", "package.xml", "setup.py"):
-        found = re.findall(r"viser\[urdf\]([^'\"]*)", (ROOT / name).read_text(encoding="utf-8"))
-        assert set(found) == {bounds}, name
+        versions = re.findall(r"viser\[urdf\]([^'\"]*)", (ROOT / name).read_text(encoding="utf-8"))
+        assert set(versions) == {bounds}, name
     constraints = (ROOT / "constraints.txt").read_text(encoding="utf-8")
     assert re.findall(r"^viser(.*)$", constraints, re.M) == [bounds]
 

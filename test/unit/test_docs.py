@@ -64,7 +64,7 @@ def test_named_files_exist(path):
 
 @each_page
 def test_parameters_that_commands_set_exist(path):
-    known = {one.name for node in NODES for one in parameters_of(node)}
+    known = {parameter.name for node in NODES for parameter in parameters_of(node)}
     for name in re.findall(r"-p (?:\w+:)?([\w.]+):=", page(path)):
         assert name in {*known, "name"}, name
 

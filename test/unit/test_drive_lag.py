@@ -34,10 +34,10 @@ def run(lag, delay_ticks, time_constant_s, seconds=6.0, gain=1.0):
     [(1, 0.0), (3, 0.0), (2, 0.02), (5, 0.05), (8, 0.1), (20, 0.0)],
 )
 def test_dead_time_and_lag_are_found_together(delay_ticks, time_constant_s):
-    found = run(DriveLag(), delay_ticks, time_constant_s).lag_s
+    lag_s = run(DriveLag(), delay_ticks, time_constant_s).lag_s
     wanted = DT_S * delay_ticks + time_constant_s
     # A joint that lags is behind by less than its time constant while it speeds up and brakes.
-    assert 0.7 * wanted < found < 1.05 * wanted
+    assert 0.7 * wanted < lag_s < 1.05 * wanted
 
 
 def test_a_lag_that_grows_is_followed_within_twenty_seconds():
@@ -57,22 +57,15 @@ MOST_RAD_S2 = LIMITS.max_joint_acceleration_rad_s2
 JACOBIAN = np.diag([0.5, 0.8, 1.0]) @ np.eye(3, 6)
 
 
-def given(error_m, joints_rad=None):
-    joints = np.zeros(6) if joints_rad is None else joints_rad
-    return ControlInput(np.asarray(error_m), JACOBIAN, np.zeros(6), joints, DT_S)
-
-
-def wanted(velocity_rad_s):
-    return ControlOutput(np.asarray(velocity_rad_s), np.zeros(3), np.ones(3))
-
-
 @each("direction", [[1.0, 0.0, 0.0], [0.6, -0.5, 0.4]])
 def test_a_law_that_never_slows_down_arrives_within_the_limit_and_does_not_pass(direction):
     error = 0.3 * np.array(direction) / np.linalg.norm(direction)
     speeds, ahead = [], []
     for _ in range(250):
         course = -np.linalg.pinv(JACOBIAN) @ error
-        output = brake(wanted(course / np.abs(course).max()), given(error), LIMITS)
+        wanted = ControlOutput.plain(course / np.abs(course).max(), 3)
+        state = ControlInput(error, JACOBIAN, np.zeros(6), np.zeros(6), DT_S)
+        output = brake(wanted, state, LIMITS)
         speeds.append(np.abs(output.velocity_rad_s).max())
         error = error + JACOBIAN @ output.velocity_rad_s * DT_S
         ahead.append(error @ direction)

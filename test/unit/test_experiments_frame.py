@@ -41,9 +41,9 @@ def test_the_ratio_is_paired():
 
 def test_an_interval_on_both_sides_of_a_bound_decides_nothing():
     for low, high, holds in ((1.06, 1.2, True), (0.9, 1.04, False), (0.9, 1.2, None)):
-        one = Interval(0.5 * (low + high), low, high)
-        assert one.above(1.05) is holds
-        assert one.below(1.05) is (None if holds is None else not holds)
+        interval = Interval(0.5 * (low + high), low, high)
+        assert interval.above(1.05) is holds
+        assert interval.below(1.05) is (None if holds is None else not holds)
     touching = Interval(1.1, 1.0, 1.2)
     assert touching.below(1.0) is touching.above(1.0) is None
     few, enough = (ratio_of_medians([1.0] * n, [2.0] * n) for n in (5, 6))
@@ -63,12 +63,13 @@ def test_an_interval_on_both_sides_of_a_bound_decides_nothing():
     ],
 )
 def test_a_claim_of_several_parts_names_the_one_that_decides(parts, all_of, any_of):
-    some = [Part(str(number), "", holds, number) for number, holds in enumerate(parts)]
-    every, one = Claim("", some), Claim("", some, any_of=True)
-    assert (every.holds, one.holds) == (all_of, any_of)
-    assert (every.decisive.holds, one.decisive.holds) == (all_of, any_of)
+    claimed = [Part(str(number), "", holds, number) for number, holds in enumerate(parts)]
+    every, either = Claim("", claimed), Claim("", claimed, any_of=True)
+    assert (every.holds, either.holds) == (all_of, any_of)
+    assert (every.decisive.holds, either.decisive.holds) == (all_of, any_of)
     if parts == [True, True]:
-        assert (every.decisive, one.decisive) == (some[1], some[0])  # the tighter, the clearer
+        # The tighter, the clearer.
+        assert (every.decisive, either.decisive) == (claimed[1], claimed[0])
 
 
 def test_a_table_has_a_row_per_group_and_values_side_by_side():

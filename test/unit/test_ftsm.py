@@ -109,8 +109,8 @@ def test_the_literal_law_chatters_where_the_implicit_one_does_not(discretisation
     surface, reaching = SlidingSurface(1.0, 2.0, 1.3, **paper), ReachingLaw(1.63, 0.067, 0.01, 0.82)
     gains = FtsmGains(surface, reaching, discretisation=discretisation)
     _, speeds = closed_loop(gains, 4.0, fastest=1.0)
-    found = np.abs(np.diff(speeds[-100:], axis=0)).mean()
-    assert found == pytest.approx(unrest, abs=1e-6 if unrest == 0.0 else 0.5)  # rad/s each tick
+    step = np.abs(np.diff(speeds[-100:], axis=0)).mean()
+    assert step == pytest.approx(unrest, abs=1e-6 if unrest == 0.0 else 0.5)  # rad/s each tick
 
 
 # ---- the surface: (29), and (32) against finite differences ---------------------------------
@@ -132,6 +132,6 @@ def test_lambda3_is_three_over_delta():
 def test_slopes_match_finite_differences(surface: SlidingSurface, y: float):
     h = 1e-7 * abs(y)
     slope = (surface.psi(y + h) - surface.psi(y - h)) / (2 * h)
-    psi, given = surface.psi_and_slope(y)
+    psi, own_slope = surface.psi_and_slope(y)
     assert psi == surface.psi(y)
-    assert given == pytest.approx(slope, rel=1e-5)
+    assert own_slope == pytest.approx(slope, rel=1e-5)

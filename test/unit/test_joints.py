@@ -7,7 +7,7 @@ from fvs_ros.joints import UR_JOINT_NAMES, ForeignJointsError, JointMap, JointSt
 def test_joints_come_out_in_kinematic_order_from_any_order_with_extra_joints():
     names = [*np.random.default_rng(1).permutation(UR_JOINT_NAMES), "gripper"]
     values = [
-        float(UR_JOINT_NAMES.index(one)) if one in UR_JOINT_NAMES else np.nan for one in names
+        float(UR_JOINT_NAMES.index(name)) if name in UR_JOINT_NAMES else np.nan for name in names
     ]
     np.testing.assert_array_equal(JointMap().positions(names, values), np.arange(6.0))
 
@@ -27,15 +27,15 @@ def test_what_cannot_be_used_is_refused_in_words(names, values, error, text):
         JointMap().positions(names, values)
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_joint_goes_on_where_the_driver_wraps_it(way):
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_joint_goes_on_where_the_driver_wraps_it(sign):
     joint_map, times_s = JointMap(["a", "b"]), 1e9 + 0.1 * np.arange(100)
     for time_s in times_s:
-        true = np.array([way * 2.0 * (time_s - times_s[0]), 0.3])  # three turns
+        true = np.array([sign * 2.0 * (time_s - times_s[0]), 0.3])  # three turns
         got = joint_map.positions("ab", np.arctan2(np.sin(true), np.cos(true)), time_s)
         np.testing.assert_allclose(got, true, atol=1e-6)
     # Two that publish are no wrap; what may be motion, after a long silence, is.
-    wrapped = true[0] - 6 * way * np.pi
+    wrapped = true[0] - 6 * sign * np.pi
     for count, joint in enumerate((4.0, 0.3), 1):
         with pytest.raises(
             JointStateError, match=r"b jumped by 3\.70 rad \(m\) in 0\.008 s; do two"

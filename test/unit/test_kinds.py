@@ -38,8 +38,8 @@ def test_rotations_agree_with_scipy(rng, angle_rad):
         reference = Rotation.from_rotvec(vector)
         matrix = rotation_from_vector(vector)
         np.testing.assert_allclose(matrix, reference.as_matrix(), atol=1e-12)
-        found = Rotation.from_rotvec(vector_from_rotation_rad(matrix))
-        assert (found * reference.inv()).magnitude() < 1e-7
+        back = Rotation.from_rotvec(vector_from_rotation_rad(matrix))
+        assert (back * reference.inv()).magnitude() < 1e-7
         assert np.linalg.norm(vector_from_rotation_rad(matrix)) == pytest.approx(
             angle_rad, abs=1e-7
         )
@@ -98,11 +98,11 @@ def test_nearest_pose_undoes_small_errors(rng):
     pose = Pose(LEVER_M)
     at = random_pose(rng)
     noisy = at + 1e-3 * rng.normal(size=12)
-    found = pose.nearest(noisy)
-    rotation = pose.rotation(found)
+    nearest = pose.nearest(noisy)
+    rotation = pose.rotation(nearest)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
-    assert pose.status_values(pose.minus(found, at))["angle_rad"] < 0.02
+    assert pose.status_values(pose.minus(nearest, at))["angle_rad"] < 0.02
     np.testing.assert_allclose(pose.nearest(at), at, atol=1e-12)
     mirrored = nearest_rotation(np.diag([1.0, 1.0, -0.1]))
     assert np.linalg.det(mirrored) == pytest.approx(1.0)

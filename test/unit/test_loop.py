@@ -24,8 +24,8 @@ class Cell:
     def __init__(self, jacobian=np.eye(3, 6) * 0.5, **values):  # noqa: B008
         self.loop = ServoLoop(default_values(**values))
         self.now_s, self.joints, self.jacobian = 10.0, HOME.copy(), jacobian
-        self.given, command = [], self.loop.law.command
-        self.loop.law.command = lambda one: (self.given.append(one), command(one))[1]
+        self.states, command = [], self.loop.law.command
+        self.loop.law.command = lambda state: (self.states.append(state), command(state))[1]
         self.loop.supervisor.inputs.add_speed_scaling(self.now_s, 0.1)  # the arm hardly moves
         self.tick(20)
         assert self.target(TARGET, 0.0)
@@ -61,11 +61,11 @@ def test_a_chain_gives_the_jacobian_until_it_comes_no_more():
     cell = Cell(law="minimum_time")
     cell.loop.add_chain(cell.now_s, CHAIN)
     cell.tick()
-    assert cell.given[-1].chain is CHAIN
-    np.testing.assert_array_equal(cell.given[-1].jacobian, CHAIN.jacobian(HOME))
+    assert cell.states[-1].chain is CHAIN
+    np.testing.assert_array_equal(cell.states[-1].jacobian, CHAIN.jacobian(HOME))
     cell.tick(round(0.25 / DT_S))
-    assert cell.given[-1].chain is None
-    np.testing.assert_array_equal(cell.given[-1].jacobian, cell.jacobian)
+    assert cell.states[-1].chain is None
+    np.testing.assert_array_equal(cell.states[-1].jacobian, cell.jacobian)
 
 
 def test_a_moving_target_is_extrapolated_until_it_is_set_to_the_current_position(servoing):

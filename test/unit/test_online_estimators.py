@@ -72,10 +72,10 @@ def test_the_unscented_filter_is_the_linear_one(joints):
         gain = covariance @ seen.T @ np.linalg.inv(innovation)
         mean = mean + gain @ (step.d_feature_m - seen @ mean)
         covariance = (np.eye(18) - gain @ seen) @ covariance
-    for one in (linear, unscented):
-        np.testing.assert_allclose(one.jacobian(HOME).reshape(18), mean, atol=1e-9)
-        np.testing.assert_allclose(entries_covariance(one), covariance, atol=1e-11)
-        shown = one.status_values()["entry_deviation_m_rad"]
+    for estimator in (linear, unscented):
+        np.testing.assert_allclose(estimator.jacobian(HOME).reshape(18), mean, atol=1e-9)
+        np.testing.assert_allclose(entries_covariance(estimator), covariance, atol=1e-11)
+        shown = estimator.status_values()["entry_deviation_m_rad"]
         assert shown == pytest.approx(math.sqrt(np.diag(covariance).mean()))
 
 

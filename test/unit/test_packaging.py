@@ -53,7 +53,7 @@ def test_every_folder_and_shared_file_is_installed_where_it_lies(setup_arguments
     installed = {f"{target}/{Path(file).name}" for target, group in files.items() for file in group}
     for pattern in ("config/**/*.yaml", "config/**/*.npz", "config/**/*.urdf", "launch/**/*.py"):
         paths = ROOT.glob(pattern)
-        assert {f"share/fvs_ros/{one.relative_to(ROOT).as_posix()}" for one in paths} <= installed
+        assert {f"share/fvs_ros/{path.relative_to(ROOT).as_posix()}" for path in paths} <= installed
     assert files["share/ament_index/resource_index/packages"] == ["resource/fvs_ros"]
 
 

@@ -9,7 +9,7 @@ BOX = Parameter("box", [0.1] * 3, "A box.", minimum=0.0, broadcast=True)
 
 
 def test_a_whole_number_is_taken_for_a_number_and_one_for_a_list_where_declared():
-    assert [type(GAIN.check(one)) for one in (2, np.float64(2.0), np.int64(2))] == [float] * 3
+    assert {type(GAIN.check(x)) for x in (2, np.float64(2.0), np.int64(2))} == {float}
     assert BOX.check(2) == [2.0]
     assert [GAIN.check("5e-2"), *BOX.check("1e-4"), *BOX.check(["1e-4", 2])] == [
         0.05,
@@ -20,7 +20,7 @@ def test_a_whole_number_is_taken_for_a_number_and_one_for_a_list_where_declared(
 
 
 @each(
-    ("one", "wrong", "words"),
+    ("parameter", "wrong", "words"),
     [
         (
             GAIN,
@@ -34,10 +34,10 @@ def test_a_whole_number_is_taken_for_a_number_and_one_for_a_list_where_declared(
         (Parameter("flag", True, "A flag."), (1, "true"), "true or false"),
     ],
 )
-def test_a_wrong_value_is_refused_with_what_was_expected(one, wrong, words):
+def test_a_wrong_value_is_refused_with_what_was_expected(parameter, wrong, words):
     for value in wrong:
         with pytest.raises(ParameterError, match=words):
-            one.check(value)
+            parameter.check(value)
 
 
 def test_a_set_knows_its_names():

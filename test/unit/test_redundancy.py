@@ -19,25 +19,25 @@ WIDE = JointLimits(joint_min_rad=(-3.0,) * 6, joint_max_rad=(3.0,) * 6, joint_li
 def least_largest(jacobian, velocity):
     """By linear programming: u and t with |u_i| <= t, J u = v, least t."""
     eye = np.eye(6)
-    ones = -np.ones((6, 1))
-    found = linprog(
+    minus_one = -np.ones((6, 1))
+    result = linprog(
         np.append(np.zeros(6), 1.0),
-        A_ub=np.vstack([np.hstack([eye, ones]), np.hstack([-eye, ones])]),
+        A_ub=np.vstack([np.hstack([eye, minus_one]), np.hstack([-eye, minus_one])]),
         b_ub=np.zeros(12),
         A_eq=np.hstack([jacobian, np.zeros((3, 1))]),
         b_eq=velocity,
         bounds=[(None, None)] * 7,
     )
-    assert found.success
-    return found.x[6]
+    assert result.success
+    return result.x[6]
 
 
 @each(("jacobian", "velocity"), CASES)
 def test_the_ball_moves_as_wanted_and_the_fastest_joint_is_as_slow_as_can_be(jacobian, velocity):
-    found = LeastSpeedInverse(damping=1e-12).joint_velocity(jacobian, velocity)
-    np.testing.assert_allclose(jacobian @ found, velocity, atol=1e-8)
+    speeds = LeastSpeedInverse(damping=1e-12).joint_velocity(jacobian, velocity)
+    np.testing.assert_allclose(jacobian @ speeds, velocity, atol=1e-8)
     least = least_largest(jacobian, velocity)
-    assert least - 1e-9 <= np.abs(found).max() < 1.03 * least
+    assert least - 1e-9 <= np.abs(speeds).max() < 1.03 * least
 
 
 def test_a_joint_near_its_end_leaves_the_work_to_the_others_but_not_on_the_way_back():

@@ -154,7 +154,7 @@ def test_what_the_nodes_would_refuse_is_passed_over(tmp_path):
     ]
     (clean,) = targets_in(tmp_path / "clean", servo())
     recording = read(write_bag(tmp_path / "odd", [*servo(), *odd]))
-    assert [one.score for one in targets(recording)] == [clean.score]
+    assert [target.score for target in targets(recording)] == [clean.score]
     assert recording.series["velocities"].values.shape == (625, 6)
 
 
@@ -168,7 +168,9 @@ def test_arrivals_count_where_stamps_are_of_another_clock(tmp_path):
 
 def test_a_robot_is_chosen_by_its_namespace(tmp_path, replayed, capsys):
     robots = [
-        one._replace(topic=f"/{robot}{one.topic}") for one in servo() for robot in ("left", "right")
+        sent._replace(topic=f"/{robot}{sent.topic}")
+        for sent in servo()
+        for robot in ("left", "right")
     ]
     bag = write_bag(tmp_path / "bag", robots)
     assert main(["replay", str(bag)]) == 2

@@ -38,8 +38,8 @@ def test_physics_engine_and_chain_agree_with_the_published_kinematics(world):
     balls_m, jacobians = balls_m @ half_turn, half_turn @ jacobians
     np.testing.assert_allclose(world.chain.position(joints), balls_m, atol=1e-6)
     np.testing.assert_allclose(world.chain.jacobian(joints), jacobians, atol=1e-12)
-    for one, ball_m in zip(joints, balls_m, strict=True):
-        world.reset(one)
+    for angles, ball_m in zip(joints, balls_m, strict=True):
+        world.reset(angles)
         np.testing.assert_allclose(world.carried_position(), ball_m, atol=1e-6)
 
 
@@ -53,15 +53,15 @@ def test_nothing_of_the_ur5_has_the_balls_colour(world):
 def test_a_urdf_without_its_meshes_is_simulated_with_cubes(tmp_path):
     mesh = '<geometry><mesh filename="package://some_arm/meshes/part.stl"/></geometry>'
     text = re.sub("<geometry>.*?</geometry>", mesh, robot_description(UR5), flags=re.DOTALL)
-    path, said = tmp_path / "arm.urdf", []
+    path, words = tmp_path / "arm.urdf", []
     path.write_bytes(text.encode("utf-16"))  # which PyBullet does not read
-    assert "mesh" not in robot_description(Robot(str(path)), say=said.append)
-    (words,) = said
-    assert "1 meshes that are not here, such as package://some_arm/meshes/part.stl" in words
+    assert "mesh" not in robot_description(Robot(str(path)), say=words.append)
+    (sentence,) = words
+    assert "1 meshes that are not here, such as package://some_arm/meshes/part.stl" in sentence
     world = World(SimConfig(urdf_path=str(path)))
     assert world.joint_names == UR_JOINT_NAMES
     shapes = world.client.getVisualShapeData(world.client.getBodyUniqueId(0))
-    assert {one[2] for one in shapes} == {pybullet.GEOM_BOX}
+    assert {shape[2] for shape in shapes} == {pybullet.GEOM_BOX}
     world.close()
     # One that is here is drawn.
     (tmp_path / "meshes").mkdir()

@@ -58,7 +58,7 @@ def test_time_rates_and_latency(make):
         stamps = [o.stamp_s for o in observations(steps)]
         # 30 Hz on steps of 2 ms: each exposure at the nearest step.
         np.testing.assert_allclose(stamps, np.arange(len(stamps)) / 30.0, atol=0.001 + 1e-9)
-        ages = [step.time_s - one.stamp_s for step in steps for one in step.observations]
+        ages = [step.time_s - seen.stamp_s for step in steps for seen in step.observations]
         assert len(ages) > 25
         assert latency_s - 1e-9 <= min(ages) <= max(ages) < latency_s + PERIOD_S + 1e-9
 

@@ -23,8 +23,8 @@ POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 def stills(feature="pose", on_arm=False, count=30):
     """Some images of a motion, each as of an arm that stood still."""
     data = collected(feature, on_arm=on_arm, seconds=60.0)
-    some = np.linspace(0, len(data) - 1, count).astype(int)
-    columns = {name: getattr(data, name)[some] for name in ("stamps_s", "joints_rad", "z")}
+    chosen = np.linspace(0, len(data) - 1, count).astype(int)
+    columns = {name: getattr(data, name)[chosen] for name in ("stamps_s", "joints_rad", "z")}
     return replace(data, **columns, segment=np.arange(count), still=True)
 
 
@@ -67,8 +67,8 @@ def test_a_chain_is_fitted_to_still_poses(tmp_path):
     data = DataSet(np.arange(60.0), joints, seen_m, np.arange(60), still=True)
     save_data_set(tmp_path / "stills.npz", data)
     fit = fit_chain(load_data_set(tmp_path / "stills.npz"))
-    places = chain.reference_rad + rng.uniform(-0.5, 0.5, (200, 6))
-    assert np.median(relative_error(fit.chain.jacobian(places), chain.jacobian(places))) < 0.006
+    probes = chain.reference_rad + rng.uniform(-0.5, 0.5, (200, 6))
+    assert np.median(relative_error(fit.chain.jacobian(probes), chain.jacobian(probes))) < 0.006
     few = {name: getattr(data, name)[:20] for name in ("stamps_s", "joints_rad", "z")}
     few = replace(data, **few, segment=np.arange(20))
     with pytest.raises(ChainFitError, match="at least 27 still poses, the data set has 20"):
@@ -95,7 +95,7 @@ def test_a_bag_of_still_poses_leaves_out_images_in_motion(tmp_path):
 
 
 def write(path, columns, rows):
-    cells = [["" if np.isnan(one) else repr(float(one)) for one in row] for row in rows]
+    cells = [["" if np.isnan(x) else repr(float(x)) for x in row] for row in rows]
     path.write_text("\n".join(", ".join(line) for line in [columns, *cells, [], []]), "utf-8")
     return path
 
@@ -111,13 +111,13 @@ def images_of(data):
 
 
 def hands(joints):
-    turns, places_m = ARM.tip_at(joints)
-    return poses(places_m, np.swapaxes(turns, 1, 2))
+    axes, places_m = ARM.tip_at(joints)
+    return poses(places_m, np.swapaxes(axes, 1, 2))
 
 
 def test_a_table_of_hand_poses_needs_no_urdf_and_no_common_clock(tmp_path):
     """Hand and tag at rates of their own, in lines of their own, with images 20 ms late."""
-    data, hand = collected("pose", delay_s=0.02, seconds=60.0), [f"hand_{one}" for one in POSE]
+    data, hand = collected("pose", delay_s=0.02, seconds=60.0), [f"hand_{name}" for name in POSE]
     nothing = np.full((len(data), 7), np.nan)
     of_hand = np.hstack([data.stamps_s[:, None], hands(data.joints_rad), nothing])
     of_image = np.hstack([data.stamps_s[:, None], nothing, images_of(data)])[::2]

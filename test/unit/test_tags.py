@@ -71,8 +71,8 @@ def test_what_is_wrong_with_a_view_is_said(image, words):
 
 def smeared(image, rng):
     """As if the tag had moved by eight pixels during the exposure."""
-    way, kernel = rng.uniform(0.0, np.pi), np.zeros((15, 15), np.float32)
-    end = 4.0 * np.array([np.cos(way), np.sin(way)])
+    angle, kernel = rng.uniform(0.0, np.pi), np.zeros((15, 15), np.float32)
+    end = 4.0 * np.array([np.cos(angle), np.sin(angle)])
     for u, v in np.linspace(7.0 - end, 7.0 + end, 81):
         kernel[round(v), round(u)] += 1.0
     return cv2.filter2D(image, -1, kernel / kernel.sum())
@@ -199,7 +199,7 @@ def test_a_body_of_tags_is_seen_more_exactly_and_survives_a_hidden_one(layout):
         rotation, position_m = random_pose(rng, 0.9)
         if position_m[2] > 0.9 or np.abs(position_m[:2]).max() > 0.15:
             continue  # too small, or not all in the image
-        for hidden, found in off.items():
+        for hidden, errors_m in off.items():
             reader, finder = TagReader(tag), PoseFinder(tag)
             seen, _ = reader.read(drawn_body(tag, rotation, position_m, rng, hidden))
             pose, why = finder.find(0.0, seen, VGA) if seen else (None, "")
@@ -208,7 +208,7 @@ def test_a_body_of_tags_is_seen_more_exactly_and_survives_a_hidden_one(layout):
                 continue
             several += len(seen) > 1
             assert angle_rad(pose.rotation, rotation) < 0.1  # no mirror image
-            found.append(np.linalg.norm(pose.position_m - position_m))
+            errors_m.append(np.linalg.norm(pose.position_m - position_m))
     assert several > 10
     assert np.median(off[()]) < 4e-4
     assert len(off[(0,)]) > 10
@@ -265,8 +265,8 @@ def test_a_lens_that_distorts_changes_nothing():
     rotation, position_m = turned(0.5), MIDDLE + [0.15, 0.1, 0.0]
     bent = distorted(draw([(0, rotation, position_m)], noise=0.0), camera.coefficients)
     detector = TagDetector(DetectorConfig(feature="pose", tag=TAG))
-    found = detector.detect(0.0, bent, None, camera).detection
-    assert np.linalg.norm(found.position_m - position_m) < 3e-3
+    tag = detector.detect(0.0, bent, None, camera).detection
+    assert np.linalg.norm(tag.position_m - position_m) < 3e-3
 
 
 # --- the page that is printed ---
@@ -274,8 +274,8 @@ def test_a_lens_that_distorts_changes_nothing():
 
 def test_a_page_shows_the_tag_in_true_size(tmp_path):
     path, family, number = tmp_path / "tag.png", "4X4_50", 7
-    given = ["-o", str(path), "--dictionary", family, "--id", str(number), "--size-m", "0.08"]
-    assert program.main(given) == 0
+    arguments = ["-o", str(path), "--dictionary", family, "--id", str(number), "--size-m", "0.08"]
+    assert program.main(arguments) == 0
     page = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     assert page.shape == pytest.approx((297.0 / 25.4 * 600, 210.0 / 25.4 * 600), abs=1.0)
     corners, why = TagReader(Tag(family, number)).read(page)
@@ -295,7 +295,7 @@ def test_a_page_shows_all_tags_of_a_layout_at_their_places(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("arguments", "words"),
     [
         (["--size-m", "0.2"], "takes tags of 0.152 m at most"),
         (["--dictionary", "36h11"], "tag_dictionary must be one of"),
@@ -304,9 +304,9 @@ def test_a_page_shows_all_tags_of_a_layout_at_their_places(tmp_path):
         (["-o", "/nowhere/tag.pdf"], "/nowhere"),
     ],
 )
-def test_what_cannot_be_printed_is_refused(given, words, capsys, tmp_path, monkeypatch):
+def test_what_cannot_be_printed_is_refused(arguments, words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert program.main(given) == 2
+    assert program.main(arguments) == 2
     assert words in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 

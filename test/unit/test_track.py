@@ -9,16 +9,6 @@ from fvs_ros.kinds.ball import Ball
 from fvs_ros.track import Track
 
 
-def follow(path, images, motions):
-    """Estimates along images (n, 3) m with predicted motions (n, 3) m in between."""
-    path.restart()
-    found = []
-    for k, (image, moved) in enumerate(zip(images, np.cumsum(motions, axis=0), strict=True)):
-        path.add(Image(k / 30.0, np.zeros(0), image, image, moved))
-        found.append(path.x.copy())
-    return np.array(found[1:])
-
-
 def at_rest(images, truth):
     """Errors of the prediction, m, and noise learned, m, from images of an arm at rest."""
     track, errors = Track(Ball()), []
@@ -33,9 +23,9 @@ def at_rest(images, truth):
 @each("drift_m", [0.0003, 0.003, 0.012])
 def test_a_camera_that_is_carried_is_no_noise_and_the_estimate_is_soon_right(drift_m):
     rng = np.random.default_rng(10)
-    way = np.concatenate([np.zeros(100), np.cumsum(np.full(60, drift_m)), np.zeros(20)])
-    way[160:] = way[159]
-    truth = np.outer(way, [0.6, 0.0, 0.8])
+    travel_m = np.concatenate([np.zeros(100), np.cumsum(np.full(60, drift_m)), np.zeros(20)])
+    travel_m[160:] = travel_m[159]
+    truth = np.outer(travel_m, [0.6, 0.0, 0.8])
     images = truth + 1e-3 * rng.normal(size=truth.shape)
     errors, noise_m = at_rest(images, truth)
     assert noise_m == pytest.approx(1e-3, rel=0.4)
@@ -44,20 +34,16 @@ def test_a_camera_that_is_carried_is_no_noise_and_the_estimate_is_soon_right(dri
     assert max(errors[166:]) < 2.5e-3
 
 
-def see(path, off_m):
-    """Show an image that is off the estimate, of an arm at rest; whether any was believed."""
-    seen = path.x + off_m
-    return path.add(Image(99.0, np.zeros(0), seen, seen, path.moved_m))
-
-
 def test_one_wrong_position_within_the_gate_moves_the_estimate_little_however_far_it_is_off():
     rest = 1e-3 * np.random.default_rng(12).normal(size=(300, 3))
     for off_m in np.linspace(0.001, 0.02, 20):
         for direction in np.vstack([np.eye(3), np.ones(3) / 3.0**0.5]):
             path = PathFilter()
-            follow(path, rest, np.zeros((300, 3)))
+            for k, z in enumerate(rest):
+                path.add(Image(k / 30.0, np.zeros(0), z, z, np.zeros(3)))
             before_m = path.x
-            see(path, off_m * direction)
+            wrong_m = before_m + off_m * direction
+            path.add(Image(10.0, np.zeros(0), wrong_m, wrong_m, np.zeros(3)))
             assert np.linalg.norm(path.x - before_m) < 1.5e-3
 
 
@@ -110,13 +96,13 @@ def test_it_carries_an_old_image_to_the_newest_joints():
 
 def standing(positions: list[np.ndarray]) -> tuple[list[np.ndarray], list[int]]:
     """Predictions at rest after each of some positions, and how many are then believed."""
-    track, found, believed = Track(Ball()), [], []
+    track, predictions, believed = Track(Ball()), [], []
     track.add_joints(0.0, np.zeros(6), JACOBIAN)
     track.add_joints(0.09, np.zeros(6), JACOBIAN)
     for k, position in enumerate([*[ORIGIN] * 8, *positions]):
         believed.append(len(track.add_image(0.005 * k, position)))
-        found.append(newest(track))
-    return found[8:], believed[8:]
+        predictions.append(newest(track))
+    return predictions[8:], believed[8:]
 
 
 def test_an_outlier_is_passed_over_and_what_two_say_alike_or_six_in_a_row_is_believed():

@@ -92,8 +92,8 @@ def test_a_bad_joint_of_the_arm_is_named_unless_all_limits_are_given(number):
         with_urdf_limits(VALUES, joints)
     with pytest.raises(ValueError, match="joint 'elbow_joint' of the URDF has"):
         kinematics(joints)
-    given = {**VALUES, **dict.fromkeys(URDF_LIMITS, (1.0,) * 6)}
-    assert {name: with_urdf_limits(given, joints)[name] for name in given} == given
+    values = {**VALUES, **dict.fromkeys(URDF_LIMITS, (1.0,) * 6)}
+    assert {name: with_urdf_limits(values, joints)[name] for name in values} == values
 
 
 def test_the_default_tip_is_the_arms_last_link_and_no_finger():
