@@ -26,7 +26,7 @@ from fvs_detector_node.tag_detector import TagDetector
 from fvs_detector_node.tags import SQUARE, Tag
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.files import DataSet
-from fvs_ros.camera import camera_model
+from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.urdf import Kinematics
 from fvs_tools.calibration import calibrate
@@ -104,7 +104,9 @@ def jazzy(folder):
     """Still images of a tag on the arm, and the inverse pose of the hand."""
     about = json.loads((folder / "frames.json").read_text())
     camera, frames, hands, tags = about["camera"], about["frames"], [], []
-    model = camera_model(*(camera[key] for key in ("width", "height", "k", "model", "d")))
+    fx, _, cx, _, fy, cy, *_ = camera["k"]
+    pinhole = Intrinsics(camera["width"], camera["height"], fx, fy, cx, cy)
+    model = CameraModel(pinhole, camera["model"], tuple(camera["d"]))
     tag = Tag(tag_id=about["tag"]["id"], tag_size_m=about["tag"]["size_m"])
     detector = TagDetector(DetectorConfig(feature="pose", tag=tag))
     for number, frame in enumerate(frames):

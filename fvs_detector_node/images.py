@@ -37,7 +37,8 @@ class Region:
 
     def view(self, camera: Intrinsics) -> Intrinsics:
         """Intrinsics of this part of a camera's image."""
-        return camera.window(self.u0, self.v0, self.width, self.height)
+        cx, cy = camera.cx - self.u0, camera.cy - self.v0
+        return Intrinsics(self.width, self.height, camera.fx, camera.fy, cx, cy)
 
     def grown(self, margin: int, camera: Intrinsics) -> Region:
         """The part with a margin, pixels, as far as a camera's image goes; may be empty."""

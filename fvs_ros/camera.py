@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
@@ -106,10 +107,6 @@ class Intrinsics:
         y = (np.asarray(v, dtype=float) - self.cy) / self.fy
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
-    def window(self, u0: int, v0: int, width: int, height: int) -> Intrinsics:
-        """Intrinsics of the sub-image whose first pixel is (u0, v0)."""
-        return Intrinsics(width, height, self.fx, self.fy, self.cx - u0, self.cy - v0)
-
 
 #: Distortion models of ``sensor_msgs``, and the numbers of coefficients that they may have: the
 #: first two are one in OpenCV, and drivers name either.
@@ -164,57 +161,26 @@ class CameraModel:
         return self.model == "equidistant" or any(self.coefficients)
 
 
-def camera_model(
-    width: int,
-    height: int,
-    k: Sequence[float],
-    model: str,
-    coefficients: Sequence[float],
-    *,
-    binning: tuple[int, int] = (0, 0),
-    roi: tuple[int, int, int, int] = (0, 0, 0, 0),
-) -> CameraModel:
-    """Check a calibration as ``sensor_msgs/CameraInfo`` gives it.
+def camera_model(info: Any) -> CameraModel:
+    """The camera of images by their calibration, any object with the fields of a ``CameraInfo``.
 
-    Parameters
-    ----------
-    width, height : int
-        Size that was calibrated, pixels.
-    k : sequence of float, length 9
-        Camera matrix, row-major, pixels.
-    model : str
-        Distortion model; empty or ``none`` for none.
-    coefficients : sequence of float
-        Of the distortion; more zeros than the model has are passed over.
-    binning : tuple of int
-        Pixels joined into one, along u and v; 0 and 1 mean none.
-    roi : tuple of int
-        The part that the images show: u0, v0, width, height; all 0 for the whole.
-
-    Returns
-    -------
-    CameraModel
-        Of the images.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be used; the text says why.
+    A ``ValueError`` says why it cannot be used.
     """
+    width, height, k = info.width, info.height, [float(number) for number in info.k]
     _check_matrix(width, height, k)
-    fx, fy, cx, cy = (float(k[i]) for i in (0, 4, 2, 5))
-    if max(binning) > 1:
+    fx, fy, cx, cy = (k[i] for i in (0, 4, 2, 5))
+    if max(info.binning_x, info.binning_y) > 1:
         raise ValueError("camera_info has binning, which is not supported: switch it off")
-    if any(roi):
-        u0, v0, roi_width, roi_height = roi
-        roi_width, roi_height = roi_width or width - u0, roi_height or height - v0
-        if min(roi_width, roi_height) < 1 or u0 + roi_width > width or v0 + roi_height > height:
-            raise ValueError(f"camera_info has a region {roi} outside of {width}x{height}")
-        width, height, cx, cy = roi_width, roi_height, cx - u0, cy - v0
-    intrinsics = Intrinsics(width, height, fx, fy, cx, cy)
-    if model.lower() in ("", "none") and not any(coefficients):
+    u0, v0 = info.roi.x_offset, info.roi.y_offset
+    region = u0, v0, info.roi.width or width - u0, info.roi.height or height - v0
+    if min(region[2:]) < 1 or u0 + region[2] > width or v0 + region[3] > height:
+        raise ValueError(f"camera_info has a region {region} outside of {width}x{height}")
+    intrinsics = Intrinsics(*region[2:], fx, fy, cx - u0, cy - v0)
+    model, values = info.distortion_model, [float(value) for value in info.d]
+    if model.lower() in ("", "none") and not any(values):
         return CameraModel(intrinsics)
-    name, values = _ALSO.get(model, model), [float(value) for value in coefficients]
+    name = _ALSO.get(model, model)
+    # More zeros than the model has are passed over.
     while values and values[-1] == 0.0 and len(values) not in DISTORTION_MODELS.get(name, ()):
         values.pop()
     return CameraModel(intrinsics, name, tuple(values))

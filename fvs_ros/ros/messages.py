@@ -234,17 +234,8 @@ def to_camera_info(stamp_s: float, frame: str, intrinsics: Intrinsics) -> Camera
 
 def from_camera_info(message: CameraInfo) -> CameraModel:
     """Calibration of a camera; a ``MessageError`` if it cannot be used."""
-    roi = message.roi
     try:
-        return camera_model(
-            message.width,
-            message.height,
-            message.k.tolist(),
-            message.distortion_model,
-            message.d.tolist(),
-            binning=(message.binning_x, message.binning_y),
-            roi=(roi.x_offset, roi.y_offset, roi.width, roi.height),
-        )
+        return camera_model(message)
     except ValueError as error:
         raise MessageError(str(error)) from error
 

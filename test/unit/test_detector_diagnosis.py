@@ -9,6 +9,7 @@ from drawn_balls import RADIUS_M, VGA, draw, hide, red
 
 from fvs_detector_node.ball_detector import BallDetector
 from fvs_detector_node.config import BallColour, DetectorConfig
+from fvs_detector_node.images import Region
 from fvs_ros.camera import CameraModel
 
 CENTRE = np.array([0.05, 0.02, 1.2])
@@ -76,7 +77,7 @@ def test_what_is_not_the_ball_is_described_with_all_that_may_be_wrong(spoil, hin
 
 def test_any_picture_gets_an_answer():
     rng = np.random.default_rng(0)
-    small = VGA.window(0, 0, 120, 90)
+    small = Region(0, 0, 120, 90).view(VGA)
     for _ in range(100):
         rgb = cv2.resize(rng.integers(0, 256, (6, 8, 3), np.uint8), (120, 90))
         rgb[..., 1:] = rgb[..., 1:] // rng.integers(1, 20)

@@ -9,6 +9,7 @@ from cases import each
 from drawn_balls import RADIUS_M, VGA, draw
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sensor_msgs.msg import CameraInfo, RegionOfInterest
 
 from fvs_detector_node.ball_detector import BallDetector
 from fvs_detector_node.config import DetectorConfig
@@ -19,6 +20,11 @@ PINHOLE = CameraModel(VGA)
 DT = 1 / 30
 CENTRE = np.array([0.1, -0.05, 1.2])
 K = [615.0, 0.0, 319.5, 0.0, 615.0, 239.5, 0.0, 0.0, 1.0]
+
+
+def calibration(model="plumb_bob", d=(0.0,) * 5, **changes):
+    values = {"width": 640, "height": 480, "k": K, "distortion_model": model, "d": list(d)}
+    return CameraInfo(**{**values, **changes})
 
 
 def detector(**values):
@@ -80,7 +86,7 @@ def distorted(model, coefficients, *pictures):
 
 @each(("model", "coefficients"), LENSES)
 def test_the_lens_does_not_move_the_ball(model, coefficients):
-    camera = camera_model(640, 480, K, model, coefficients)
+    camera = camera_model(calibration(model, coefficients))
     centre = np.array([0.33, -0.24, 1.2])
     rgb, depth = distorted(model, coefficients, *ball(centre))
     looks = detector()
@@ -101,25 +107,25 @@ def test_the_lens_does_not_move_the_ball(model, coefficients):
         ({"k": [np.nan, *K[1:]]}, "focal lengths"),
         ({"k": [615.0, 0.0, 1e7, *K[3:]]}, "principal point"),
         ({"model": "fov"}, "plumb_bob, rational_polynomial, equidistant"),
-        ({"coefficients": [0.1]}, "1 coefficients for plumb_bob, expected 0 or 4 or 5"),
-        ({"model": "equidistant", "coefficients": [0.1] * 5}, "5 coefficients for equidistant"),
-        ({"model": "none", "coefficients": [0.1] * 5}, "distortion model 'none'"),
-        ({"coefficients": [1e300] * 5}, "above 1000"),
-        ({"binning": (2, 2)}, "binning"),
+        ({"d": [0.1]}, "1 coefficients for plumb_bob, expected 0 or 4 or 5"),
+        ({"model": "equidistant", "d": [0.1] * 5}, "5 coefficients for equidistant"),
+        ({"model": "none", "d": [0.1] * 5}, "distortion model 'none'"),
+        ({"d": [1e300] * 5}, "above 1000"),
+        ({"binning_x": 2}, "binning"),
     ],
 )
 def test_a_calibration_that_cannot_be_is_refused(changes, words):
-    good = {"width": 640, "height": 480, "k": K, "model": "plumb_bob", "coefficients": [0.0] * 5}
     with pytest.raises(ValueError, match=words):
-        camera_model(**{**good, **changes})
+        camera_model(calibration(**changes))
 
 
 def test_a_calibration_may_lack_distortion_or_cut_a_region_out():
     for model in ("plumb_bob", "", "none", "rational_polynomial"):
-        camera = camera_model(640, 480, K, model, [0.0] * 5)
+        camera = camera_model(calibration(model))
         assert camera.intrinsics == VGA
         assert not camera.distorts
-    camera = camera_model(640, 480, K, "plumb_bob", [0.0] * 5, roi=(100, 50, 320, 240))
+    roi = RegionOfInterest(x_offset=100, y_offset=50, width=320, height=240)
+    camera = camera_model(calibration(roi=roi))
     assert camera.intrinsics == dataclasses.replace(VGA, width=320, height=240, cx=219.5, cy=189.5)
 
 
