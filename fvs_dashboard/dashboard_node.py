@@ -30,7 +30,7 @@ from fvs_ros import ros, topics
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.paths import find_file
-from fvs_ros.ros.images import from_color, sampled_camera
+from fvs_ros.ros.images import from_color
 from fvs_ros.ros.services import Services
 from fvs_tools.demo import choose_target
 
@@ -182,8 +182,14 @@ class DashboardNode(ros.FvsNode):
         while self._cameras:
             self._cameras.pop().close()
         if wanted:
-            prefix = self._config.camera_topics
-            self._cameras = sampled_camera(self, prefix, self._on_image, self._on_camera_info)
+            self._cameras = [
+                ros.Sampled(self, ros.message_class(topic.type), name, callback)
+                for topic, callback in (
+                    (topics.CAMERA_INFO, self._on_camera_info),
+                    (topics.COLOR_IMAGE, self._on_image),
+                )
+                for name in topics.camera_names(topic, self._config.camera_topics)
+            ]
 
     def _look_around(self) -> None:
         """Query what has no topic: parameters of the other nodes, and publishers of images."""

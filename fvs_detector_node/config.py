@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from fvs_detector_node.tags import Tag
-from fvs_ros import topics
 from fvs_ros.camera import CameraTopicsConfig
 from fvs_ros.kinds import KINDS, KindConfig
 from fvs_ros.params import Parameters, parameter
@@ -67,19 +65,3 @@ class DetectorConfig(CameraTopicsConfig):
 
 
 PARAMETERS = DetectorConfig.declared()
-
-
-class CameraTopics(NamedTuple):
-    """Names of a camera's topics: colour and depth images, raw or compressed, and CameraInfo."""
-
-    color: str
-    depth: str
-    info: str
-
-    @classmethod
-    def below(cls, prefix: str, compressed: bool) -> CameraTopics:
-        """The topics below a prefix, in place of the declared one."""
-        images = topics.COLOR_IMAGE, topics.DEPTH_IMAGE
-        if compressed:
-            images = topics.COLOR_IMAGE_COMPRESSED, topics.DEPTH_IMAGE_COMPRESSED
-        return cls(*(topics.camera_names(end, prefix)[0] for end in (*images, topics.CAMERA_INFO)))

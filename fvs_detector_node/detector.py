@@ -82,7 +82,7 @@ class Detector:
 
     def rectified(self, rgb: np.ndarray, camera: CameraModel) -> np.ndarray:
         """The whole colour image without distortion."""
-        return self._rectifier_of(camera).colour(rgb, Region.whole(camera.intrinsics))
+        return self._rectifier_of(camera).part(rgb, Region.whole(camera.intrinsics))
 
     def detect(
         self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray | None, camera: CameraModel
@@ -97,9 +97,9 @@ class Detector:
             if near.width and near.height and near != regions[0]:
                 regions.insert(0, near)
         for region in regions:
-            depth = None if depth_m is None else rectifier.depth(depth_m, region)
+            depth = None if depth_m is None else rectifier.part(depth_m, region)
             part_of_view = region.view(view)
-            sighting = self.detect_in(stamp_s, rectifier.colour(rgb, region), depth, part_of_view)
+            sighting = self.detect_in(stamp_s, rectifier.part(rgb, region), depth, part_of_view)
             body = sighting.detection
             if body is not None and region.contains(body.box(view).grown(0, view)):
                 break

@@ -73,19 +73,12 @@ class Rectifier:
             size = view.width, view.height
             self._maps = make(view.matrix, coefficients, np.eye(3), view.matrix, size, cv2.CV_32FC1)
 
-    def depth(self, depth_m: np.ndarray, region: Region) -> np.ndarray:
-        """A part of the whole depth image, m (H, W), without distortion; 0 where there is none.
+    def part(self, image: np.ndarray, region: Region) -> np.ndarray:
+        """A part of a whole image without distortion; 0 outside of the camera's view.
 
-        It is that of the nearest pixel, because a mean of two surfaces lies on neither.
+        Depth, (H, W), is that of the nearest pixel: a mean of two surfaces lies on neither.
         """
-        return self._part(depth_m, region, cv2.INTER_NEAREST)
-
-    def colour(self, rgb: np.ndarray, region: Region) -> np.ndarray:
-        """The same of the colours, uint8 (H, W, 3); black outside of the camera's view."""
-        return self._part(rgb, region, cv2.INTER_LINEAR)
-
-    def _part(self, image: np.ndarray, region: Region, interpolation: int) -> np.ndarray:
         if self._maps is None:
             return image[region.part]
-        u, v = self._maps
-        return cv2.remap(image, u[region.part], v[region.part], interpolation)
+        u, v = (each[region.part] for each in self._maps)
+        return cv2.remap(image, u, v, cv2.INTER_LINEAR if image.ndim == 3 else cv2.INTER_NEAREST)

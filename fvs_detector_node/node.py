@@ -18,7 +18,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
-from fvs_detector_node.config import PARAMETERS, CameraTopics, DetectorConfig
+from fvs_detector_node.config import PARAMETERS, DetectorConfig
 from fvs_detector_node.detector import Sighting, annotate
 from fvs_detector_node.detectors import make_detector
 from fvs_detector_node.pairing import Pair, Pairing
@@ -63,7 +63,7 @@ class DetectorNode(ros.FvsNode):
         self._feature = self.publisher(self._kind.topics.tool)
         self._annotated = self.publisher(topics.ANNOTATED_IMAGE)
         prefix = self._config.camera_topics or CAMERA_PREFIXES[0]
-        self._topics = CameraTopics.below(prefix, self._config.compressed_images)
+        self._topics = self._topics_below(prefix)
         self._subscribed: dict[str, tuple[Any, QoSProfile]] = {}
         self._subscribe()
         self.create_timer(1.0, self._find_camera, clock=self.steady_clock)
@@ -71,12 +71,24 @@ class DetectorNode(ros.FvsNode):
 
     # --- inputs ---
 
+    def _topics_below(self, prefix: str) -> dict[str, str]:
+        """The camera's topics below a prefix, by what they hold."""
+        declared = {
+            "colour": topics.COLOR_IMAGE,
+            "depth": topics.DEPTH_IMAGE,
+            "info": topics.CAMERA_INFO,
+        }
+        if self._config.compressed_images:
+            declared["colour"] = topics.COLOR_IMAGE_COMPRESSED
+            declared["depth"] = topics.DEPTH_IMAGE_COMPRESSED
+        return {name: topics.camera_names(each, prefix)[0] for name, each in declared.items()}
+
     def _find_camera(self) -> None:
         """Search the usual prefixes if none is set and the present one has no publisher."""
-        if not self._config.camera_topics and not self._publishers_of(self._topics.color):
+        if not self._config.camera_topics and not self._publishers_of(self._topics["colour"]):
             for prefix in CAMERA_PREFIXES:
-                names = CameraTopics.below(prefix, self._config.compressed_images)
-                if self._publishers_of(names.color):
+                names = self._topics_below(prefix)
+                if self._publishers_of(names["colour"]):
                     self._topics, self._camera = names, None
         self._subscribe()
 
@@ -88,12 +100,11 @@ class DetectorNode(ros.FvsNode):
         names = self._topics
         image = CompressedImage if self._config.compressed_images else Image
         wanted: dict[str, tuple[type, Callable[[Any], None], QoSProfile]] = {
-            names.info: (CameraInfo, self._on_camera_info, ros.QOS_NEWEST),
-            names.color: (image, partial(self._on_image, "colour"), self._image_qos(names.color)),
+            names["info"]: (CameraInfo, self._on_camera_info, ros.QOS_NEWEST)
         }
-        if self._detector.needs_depth:
-            on_depth = partial(self._on_image, "depth")
-            wanted[names.depth] = image, on_depth, self._image_qos(names.depth)
+        for name in ("colour", "depth") if self._detector.needs_depth else ("colour",):
+            on_image = partial(self._on_image, name)
+            wanted[names[name]] = image, on_image, self._image_qos(names[name])
         for topic, (subscription, qos) in list(self._subscribed.items()):
             if topic not in wanted or wanted[topic][2] is not qos:
                 self.destroy_subscription(subscription)
@@ -112,17 +123,14 @@ class DetectorNode(ros.FvsNode):
         try:
             self._camera = ros.from_camera_info(message)
         except ros.MessageError as error:
-            self._complain(self._topics.info, str(error))
+            self._complain(self._topics["info"], str(error))
 
     def _on_image(self, name: str, message: Any) -> None:
-        topic, decode = {
-            "colour": (self._topics.color, from_color),
-            "depth": (self._topics.depth, from_depth),
-        }[name]
+        decode = from_color if name == "colour" else from_depth
         try:
             picture = _Picture(message.header, decode(message))
         except ros.MessageError as error:
-            self._complain(topic, str(error))
+            self._complain(self._topics[name], str(error))
             return
         pair = self._pairing.add(name, ros.from_stamp(message.header.stamp), picture)
         if pair is not None:
@@ -145,7 +153,7 @@ class DetectorNode(ros.FvsNode):
                 self._publish_annotated(pair, camera, sighting)
         except Exception as error:  # a bad image must not stop the node
             self._detector.reset()
-            self._complain(self._topics.color, f"image not understood: {error!r:.200}")
+            self._complain(self._topics["colour"], f"image not understood: {error!r:.200}")
             return
         self._sighting = sighting
         self._processing_ms = 1e3 * (self.steady_s() - start_s)
@@ -156,7 +164,7 @@ class DetectorNode(ros.FvsNode):
         size, calibrated = pair.colour.pixels.shape[:2], (view.height, view.width)
         if calibrated != size:
             words = f"is for {_px(calibrated)} pixels, but the colour images have {_px(size)}"
-            self._complain(self._topics.info, words)
+            self._complain(self._topics["info"], words)
             return False
         differs = ""
         if pair.depth is not None:
@@ -167,7 +175,7 @@ class DetectorNode(ros.FvsNode):
                 differs = f"frame {frame[:60]!r} against {header.frame_id[:60]!r}"
         if differs:
             self._complain(
-                self._topics.depth,
+                self._topics["depth"],
                 f"depth is not registered to colour: {differs}; start the camera with "
                 "align_depth.enable:=true, and take the aligned topic",
             )
@@ -208,11 +216,11 @@ class DetectorNode(ros.FvsNode):
 
     def _missing_input(self, now_s: float) -> str:
         """Which subscribed topic is silent, and what to check; empty if none is."""
-        wanted = [("colour images", self._topics.color, "check the camera and camera_topics")]
+        wanted = [("colour images", self._topics["colour"], "check the camera and camera_topics")]
         if self._detector.needs_depth:
-            wanted.append(("depth images", self._topics.depth, "set align_depth.enable:=true"))
+            wanted.append(("depth images", self._topics["depth"], "set align_depth.enable:=true"))
         if self._camera is None:
-            wanted.append(("camera_info", self._topics.info, "is it remapped as well?"))
+            wanted.append(("camera_info", self._topics["info"], "is it remapped as well?"))
         for what, topic, hint in wanted:
             if self.monitor(topic).age_s(now_s) > _MISSING_S:
                 published = bool(self._publishers_of(topic))

@@ -7,15 +7,12 @@ Nothing here trusts its input: a wrong size, an unknown encoding or data that do
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
-from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.msg import CompressedImage, Image
 
-from fvs_ros import topics
-from fvs_ros.ros.inputs import Sampled
 from fvs_ros.ros.messages import MessageError
 
 #: Depth beyond this, or not finite, is no depth, m.
@@ -56,23 +53,6 @@ _DEPTH_TYPES = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 _DEPTH_HEADER = struct.Struct("<iff")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
-
-
-def sampled_camera(
-    node: Node,
-    prefix: str,
-    on_image: Callable[[Image], None],
-    on_info: Callable[[CameraInfo], None],
-) -> list[Sampled]:
-    """Subscribe to the images that a camera publishes below a prefix, or below the usual ones."""
-    return [
-        Sampled(node, kind, name, take)
-        for kind, topic, take in (
-            (CameraInfo, topics.CAMERA_INFO, on_info),
-            (Image, topics.COLOR_IMAGE, on_image),
-        )
-        for name in topics.camera_names(topic, prefix)
-    ]
 
 
 def from_color(message: Image | CompressedImage) -> np.ndarray:
