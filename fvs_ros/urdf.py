@@ -250,18 +250,6 @@ class Kinematics:
         zero = np.zeros(len(self.names))
         return SerialChain(self.axes, self.points_m, feature_m, zero, self.prismatic)
 
-    def at(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points of the axes, m, and their directions, (n, 3) each, at joints, rad (m), (n,)."""
-        index = np.arange(len(self.names))
-        moved = [
-            self.chain(np.append(self.points_m[i], self.axes[i])).position(
-                np.where(index < i, joints_rad, 0.0)
-            )
-            for i in index
-        ]
-        points_m, axes = np.hsplit(np.array(moved), 2)
-        return points_m, axes
-
     def tip_at(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Axes of the tip, in rows, (..., 3, 3), and its place, m, (..., 3), at joints, rad."""
         tip = np.concatenate([self.tip_m, self.tip_rotation.T.ravel()])

@@ -18,7 +18,7 @@ class CalibrateConfig(KindConfig):
     )
     camera_on_arm: bool = parameter(False, "the arm carries the camera, ball or tag is at rest")
     output_path: str = parameter(
-        "out/calibrate/camera.yaml", "file to write; a picture of the same name is put beside it"
+        "out/calibrate/camera.yaml", "file to write; a picture of the residuals is put beside it"
     )
     duration_s: float = parameter(
         120.0, "time after the first image in which the motion has to be enough, s", 10.0, 3600.0

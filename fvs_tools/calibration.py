@@ -18,7 +18,6 @@ from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.timeline import MAX_GAP_S
 from fvs_ros.urdf import Kinematics
 from fvs_ros.vectors import LARGEST, plausible
-from fvs_tools.calibration_figure import draw
 from fvs_tools.hand_eye import Estimate, solve
 
 #: Standard deviations of the camera's position, m, and rotation, rad.
@@ -247,6 +246,15 @@ def _content(estimate: Estimate) -> dict[str, Any]:
 
 
 def write(estimate: Estimate, path: Path) -> None:
-    """Write the file, and the picture beside it."""
+    """Write the file, and a picture of the residuals beside it."""
+    from matplotlib.figure import Figure  # slow, and not needed for --help
+
     path.write_text(yaml.safe_dump(_content(estimate), sort_keys=False), encoding="utf-8")
-    draw(estimate, verdict(estimate)[0]).savefig(path.with_suffix(".png"), dpi=110)
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    axes, stamps_s = figure.subplots(), estimate.model.path.stamps_s
+    for name, residual_m in zip("xyz", estimate.residual_m.T, strict=True):
+        axes.plot(stamps_s - stamps_s[0], 1e3 * residual_m, ".", markersize=2, label=name)
+    limit_mm = 6e3 * max(estimate.median_residual_m, 1e-5)
+    axes.set(xlabel="time, s", ylabel="residual, mm", ylim=(-limit_mm, limit_mm))
+    axes.legend()
+    figure.savefig(path.with_suffix(".png"), dpi=110)

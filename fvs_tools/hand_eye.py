@@ -22,12 +22,11 @@ from threadpoolctl import threadpool_limits
 from fvs_estimator_node.chain_fit import inliers, whitening
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path
-from fvs_ros.kinds.ball import Ball
 from fvs_ros.urdf import Kinematics
 from fvs_tools.hand_eye_model import HandEyeModel, Unknowns, registration
 
 #: Prior standard deviations, in the units of the unknowns; of links the largest.
-PRIOR = Unknowns(*np.array([1.0, 1.0, 0.1, 0.02, 0.02, 0.2, 0.05, 0.005, 0.01]))
+_PRIOR = Unknowns(*np.array([1.0, 1.0, 0.1, 0.02, 0.02, 0.2, 0.05, 0.005, 0.01]))
 #: Shares of it by which links, and what else is not free, may be off, all as likely: links by
 #: 10 mm to 10 um. Half decades: with whole ones, half of the runs left their 95 % ellipsoid.
 _LINK_SHARES, _OTHER_SHARES = 10.0 ** np.arange(0.0, -3.5, -0.5), 10.0 ** np.arange(0.0, -2.5, -0.5)
@@ -109,19 +108,9 @@ class Estimate:
         """Median distance of the images from the model, m."""
         return float(np.median(np.linalg.norm(self.residual_m, axis=1)))
 
-    def in_camera(self, points_m: np.ndarray) -> np.ndarray:
-        """Points of the root's frame, m, (k, 3), in the camera's, where its image shows them."""
-        pose = self.base_from_camera
-        lens = self.mean.focal.item(), self.mean.radial.item()
-        return Ball().through_lens((points_m - pose[:3, 3]) @ pose[:3, :3], *lens)
-
-    def true_joints(self, joints_rad: np.ndarray) -> np.ndarray:
-        """The URDF's joints, rad (m), (..., n), of reported ones."""
-        return np.asarray((1.0 + self.mean.encoders) * joints_rad + self.mean.zeros)
-
 
 @threadpool_limits.wrap(limits=1)
-def solve(data: DataSet, arm: Kinematics, prior: Unknowns = PRIOR) -> Estimate:
+def solve(data: DataSet, arm: Kinematics) -> Estimate:
     """The camera in the frame of the arm's root.
 
     Parameters
@@ -130,18 +119,16 @@ def solve(data: DataSet, arm: Kinematics, prior: Unknowns = PRIOR) -> Estimate:
         Images of a ball or tag on the tip, and the joints of the arm, in its order.
     arm : Kinematics
         From the URDF.
-    prior : Unknowns
-        Standard deviations of each part of the unknowns.
     """
     path, delays_s = Path(data), (0.0,) if data.still else _STARTS_S
     starts = [_start(data, path, arm, delay_s) for delay_s in delays_s]
     model, values, _ = min(starts, key=lambda start: start[2])
-    values = _optimum(model, prior, values)
+    values = _optimum(model, values)
     unknowns = model.unknowns(values)
     model = HandEyeModel(data, path, arm, *model.poses(unknowns))
     values[: model.sizes[0] + model.sizes[1]] = 0.0
     for _ in range(_ROUNDS):
-        values, covariance, good, evidence = _posterior(model, prior, values)
+        values, covariance, good, evidence = _posterior(model, values)
     deviation = model.unknowns(np.sqrt(np.diag(covariance)))
     deviation.zeros[[0, -1]] = np.inf
     return Estimate(
@@ -167,12 +154,10 @@ def _start(
     return model, values, float(np.median(np.linalg.norm(off_m, axis=1)))
 
 
-def _deviations(
-    model: HandEyeModel, prior: Unknowns, links: float = 1.0, others: float = 1.0
-) -> np.ndarray:
+def _deviations(model: HandEyeModel, links: float = 1.0, others: float = 1.0) -> np.ndarray:
     """Of all unknowns, (p,), with shares of those of links and of what else is not free."""
     shares = np.array([1.0] * 3 + [others] * 5 + [links])
-    deviation = np.repeat(shares * np.array(prior), model.sizes)
+    deviation = np.repeat(shares * np.array(_PRIOR), model.sizes)
     parts = model.unknowns(deviation)
     parts.zeros[[0, -1]] = _EXACT
     if model.arm.exact:
@@ -181,12 +166,12 @@ def _deviations(
     return deviation
 
 
-def _optimum(model: HandEyeModel, prior: Unknowns, start: np.ndarray) -> np.ndarray:
+def _optimum(model: HandEyeModel, start: np.ndarray) -> np.ndarray:
     """Robust optimum with the URDF's links."""
     images = np.unique(np.linspace(0, len(model.measured) - 1, _SEARCHED).astype(int))
     measured = model.measured[images]
     white = whitening(model.features(start, images) - measured, measured)
-    deviation, links = _deviations(model, prior), np.zeros(model.sizes[-1])
+    deviation, links = _deviations(model), np.zeros(model.sizes[-1])
     deviation = deviation[: -links.size or None]
     limit = np.append(10.0 * deviation, links)
     model.unknowns(limit).delay_s[:] = MAX_OFFSET_S
@@ -210,7 +195,7 @@ def _optimum(model: HandEyeModel, prior: Unknowns, start: np.ndarray) -> np.ndar
 
 
 def _posterior(
-    model: HandEyeModel, prior: Unknowns, values: np.ndarray
+    model: HandEyeModel, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Mean and covariance of the unknowns, linearised at some; inliers; evidence for links.
 
@@ -225,7 +210,7 @@ def _posterior(
     # With the same sums of squares; in mode "r" the result is one array, whatever its stub says.
     triangle = np.asarray(np.linalg.qr(equations, mode="r"))
 
-    mean, covariance, _ = _normal(triangle, _deviations(model, prior))
+    mean, covariance, _ = _normal(triangle, _deviations(model))
     # Sums over blocks scatter more than those of single images if neighbours' errors are alike.
     pulls = np.einsum("kmi,km->ki", rows, rows @ mean - wanted)
     blocks = np.unique(np.floor(model.path.stamps_s[good] / _BLOCK_S), return_index=True)[1]
@@ -236,7 +221,7 @@ def _posterior(
     noise = max(1.0, noise * count / max(count - fitted, 1.0))
 
     parts = [
-        _normal(triangle / np.sqrt(noise), _deviations(model, prior, *shares))
+        _normal(triangle / np.sqrt(noise), _deviations(model, *shares))
         for shares in product(_LINK_SHARES, _OTHER_SHARES)
     ]
     means, covariances, evidence = (np.array(part) for part in zip(*parts, strict=True))

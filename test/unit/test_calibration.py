@@ -21,7 +21,6 @@ from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_tools import calibrate as program
 from fvs_tools.calibration import CalibrationError, calibrate, notes, static_transform
 from fvs_tools.calibration import verdict as verdict_of
-from fvs_tools.calibration_figure import draw
 
 URDF = find_file("robots/ur5.urdf")
 ARM = kinematics(read_joints(URDF.read_text("utf-8")))
@@ -245,18 +244,6 @@ def test_a_camera_that_the_motion_does_not_tell_is_unusable():
     word, reason = verdict_of(calibrate(collected(noise_m=2e-3, wide=(0.02, *(0.5,) * 5)), ARM))
     assert word != "good"
     assert "move all joints further, shoulder_pan_joint first" in reason
-
-
-def test_the_arm_is_drawn_where_the_camera_sees_it():
-    """Through zeros and focal length, at the mean joints."""
-    data = lens(collected(seconds=15.0), 1.005)
-    reported = replace(data, joints_rad=data.joints_rad - [0, 0, 0.02, 0, 0, 0])
-    drawn = draw(calibrate(reported, ARM)).axes[0].lines[-1].get_xydata()
-    joints = data.joints_rad.mean(axis=0)
-    axes, tip_m = ARM.tip_at(joints)
-    points_m = np.vstack([ARM.at(joints)[0], tip_m, tip_m + TAG[0] @ axes])
-    seen_m = (points_m - CAMERA.position_m) @ CAMERA.rotation
-    np.testing.assert_allclose(drawn, 1.005 * seen_m[:, :2] / seen_m[:, 2:], atol=1e-3)
 
 
 # --- the program ---
