@@ -90,8 +90,9 @@ class DriveLag:
         # The squared speed of the command, or of its effect on the joints now if that is faster.
         effect = (done - before) / dt_s
         speed_2 = np.maximum(command_rad_s * command_rad_s, effect * effect)
-        share = np.maximum(dt_s / _AVERAGED_S, speed_2 / (speed_2 + _MOVING_RAD_S**2))
-        self._constant = self._constant + np.minimum(share, 1.0) * (constant - self._constant)
+        least = min(dt_s / _AVERAGED_S, 1.0)
+        share = np.maximum(least, speed_2 / (speed_2 + _MOVING_RAD_S**2))
+        self._constant = self._constant + share * (constant - self._constant)
         return done + self._constant
 
     def _learn(self, command_rad_s: np.ndarray, moved_rad: np.ndarray, dt_s: float) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import copysign
+from math import copysign, sqrt
 
 import numpy as np
 
@@ -32,13 +32,16 @@ _LAST_STEP, _TINY_M = 1e-8, 1e-12
 
 def next_sliding_value(s: float, law: ReachingLaw, dt_s: float) -> float:
     """Solve (k4/dt + k1) p + k2 p^m = (k4/dt) |s| for p = |s+|, a tick later."""
-    m = 2.0 * law.sigma - 1.0
+    m, right, linear = 2.0 * law.sigma - 1.0, law.k4 / dt_s * s, law.k4 / dt_s + law.k1
 
     def terminal(p: float) -> tuple[float, float]:
         power = p**m
         return power, m * power / p
 
-    return _root(law.k4 / dt_s * s, law.k4 / dt_s + law.k1, law.k2, terminal, s)
+    # The solution for sigma = 3/4, a root of a quadratic equation in sqrt(p).
+    half = sqrt(law.k2 * law.k2 + 4.0 * linear * abs(right)) + law.k2 + 1e-300
+    guess = copysign((2.0 * right / half) ** 2, s)
+    return _root(right, linear, law.k2, terminal, guess)
 
 
 def next_error(right: float, guess: float, surface: SlidingSurface, dt_s: float) -> float:

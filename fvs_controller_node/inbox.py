@@ -135,6 +135,7 @@ class Inbox:
         self._conflict_s = -inf
         self._program_running: bool | None = None  # never reported
         self._speed_scaling = 100.0
+        self._pauses: list[Finding] = []  # of the robot, now
 
     def __getitem__(self, topic: str) -> InputMonitor:
         """The monitor of an input."""
@@ -184,7 +185,10 @@ class Inbox:
         self._end_session(self._conflict)
 
     def _pause(self) -> None:
-        for pause in self.pauses():
+        stopped, slow = self._program_running is False, self._speed_scaling <= 0.0
+        pauses = (Reason.PROGRAM_STOPPED, stopped), (Reason.SPEED_SCALING_ZERO, slow)
+        self._pauses = [pause.because() for pause, holds in pauses if holds]
+        for pause in self._pauses:
             self._end_session(pause)
 
     # ---- what is wrong with them --------------------------------------------------------------
@@ -194,10 +198,11 @@ class Inbox:
         troubles = self._troubles(now_s)
         # What must stop at once comes before a conflict, in which the arm may ramp to rest.
         findings = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
-        findings += self.pauses()
+        findings += self._pauses
         if self._conflict is not None and now_s - self._conflict_s < _CONFLICT_S:
             findings.append(self._conflict)
-        return next(iter(findings + troubles), None)
+        findings += troubles
+        return findings[0] if findings else None
 
     def late(self, now_s: float) -> str:
         """The first fault in age or content of the messages; empty if all are fresh."""
@@ -206,12 +211,6 @@ class Inbox:
     def _troubles(self, now_s: float) -> list[Finding]:
         findings = [monitor.find(now_s) for monitor in self._monitors.values()]
         return [finding for finding in findings if finding is not None]
-
-    def pauses(self) -> list[Finding]:
-        """What pauses the robot now."""
-        stopped, slow = self._program_running is False, self._speed_scaling <= 0.0
-        pauses = (Reason.PROGRAM_STOPPED, stopped), (Reason.SPEED_SCALING_ZERO, slow)
-        return [pause.because() for pause, holds in pauses if holds]
 
     @property
     def full_speed(self) -> bool:

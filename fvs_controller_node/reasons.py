@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 
 class State(Enum):
@@ -117,8 +117,7 @@ class Reason(Enum):
         return Finding(self, numbers)
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """A reason and, by name, the numbers of its sentence."""
 
     reason: Reason

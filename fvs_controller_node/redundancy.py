@@ -25,7 +25,7 @@ zero at rest.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -51,12 +51,16 @@ _NEAR_HOME_RAD = 0.3
 _TINY = 1e-12
 
 
-@dataclass(frozen=True)
+@dataclass
 class DampedInverse:
     """The damped pseudo inverse ``rdot = J' (J J' + mu I)^-1 v``."""
 
     #: mu, m^2/rad^2. It slows the direction of singular value w by w^2 / (w^2 + mu).
     damping: float = 1e-4
+    #: The last Jacobian, which serves several ticks, and its inverse.
+    _last: tuple[np.ndarray | None, np.ndarray] = field(
+        default=(None, np.zeros((0, 0))), init=False, repr=False, compare=False
+    )
 
     def joint_velocity(
         self,
@@ -69,11 +73,15 @@ class DampedInverse:
 
         The joints and a posture to come back to, (n,), rad, are for the least speed only.
         """
-        return damped_solution(jacobian, velocity, self.damping)
+        last, inverse = self._last
+        if last is not jacobian:
+            inverse = damped_solution(jacobian, np.eye(len(jacobian)), self.damping)
+            self._last = jacobian, inverse
+        return inverse.dot(velocity)
 
 
 def damped_solution(jacobian: np.ndarray, velocity: np.ndarray, damping: float) -> np.ndarray:
-    """Find ``J' (J J' + mu I)^-1 v``, shape (n,), of a Jacobian of shape (m, n).
+    """Find ``J' (J J' + mu I)^-1 v``, shape (n, ...), of a Jacobian of shape (m, n).
 
     Straight from LAPACK: numpy's solver takes four times as long.
     """
@@ -89,7 +97,7 @@ def singular_values(matrix: np.ndarray) -> np.ndarray:
     return dgesdd(matrix, compute_uv=0)[1]
 
 
-@dataclass(frozen=True)
+@dataclass
 class LeastSpeedInverse(DampedInverse):
     """The least largest joint speed for the feature velocity of :class:`DampedInverse`.
 

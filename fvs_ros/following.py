@@ -9,6 +9,7 @@ import numpy as np
 
 from fvs_ros.clock import MAX_PERIOD_S, MISSING_PERIODS
 from fvs_ros.timeline import History
+from fvs_ros.vectors import largest
 
 #: No drive lags by more, s.
 LONGEST_LAG_S = 0.2
@@ -97,7 +98,7 @@ class Following:
         assert time_s is not None
         path, time_s = path + step_s * command_rad_s, time_s + step_s
         self._path.add(time_s, path)
-        if np.abs(path - self._looked).max() >= 0.5 * _APART_RAD:
+        if largest(path - self._looked) >= 0.5 * _APART_RAD:
             then_s = time_s - lag_s - self._period_s  # a command waits for a joint state, too
             late = self._path.at(then_s)
             self._look(path, then_s * self._before if late is None else late, joints_rad)

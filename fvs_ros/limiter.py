@@ -136,11 +136,15 @@ class CommandLimiter:
         acceleration *= _RANGE_SHARE
         # With the robot's lag of 35 ms a faster approach than 5 times the distance would pass it.
         slope = min(limits.max_joint_velocity_rad_s / limits.joint_limit_margin_rad, 5.0)
-        jerk = limits.max_joint_jerk_rad_s3
+        jerk, fast = limits.max_joint_jerk_rad_s3, largest(velocity / limits.share)
+        # Without a jerk limit, no joint with so much room is slowed.
+        ample = max(fast / slope, fast * (0.5 * fast / acceleration + dt_s)) if not jerk else inf
         each = zip(values, joints_rad.tolist(), pending_rad.tolist(), limits.each, strict=True)
         for i, (v, q, ahead, (lower, upper, share, (offset, allowed))) in enumerate(each):
-            room = upper - q if v > 0.0 else q - lower
-            room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead))
+            room = upper - q - max(0.0, ahead) if v > 0.0 else q - lower - max(0.0, -ahead)
+            if room > ample * share and allowed == inf:
+                continue
+            room = max(0.0, room)
             driver = braking_speed(room, allowed, dt_s, jerk) - offset if allowed < inf else inf
             room /= share
             cap = share * min(slope * room, braking_speed(room, acceleration, dt_s, jerk))

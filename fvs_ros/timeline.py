@@ -39,7 +39,7 @@ def repeats(stamp_s: float, last_s: float | None) -> bool:
 
 
 class History:
-    """The last two seconds of a vector, such as the joint positions.
+    """The last two seconds, or more, of a vector, such as the joint positions.
 
     Stamps must come from one clock. A stamp that goes back by more than a tenth of a second, or
     forward by more than the history's length, is a clock jump and starts the history anew;
@@ -47,8 +47,8 @@ class History:
     """
 
     def __init__(self) -> None:
-        self._stamps: deque[float] = deque()
-        self._values: deque[np.ndarray] = deque()
+        self._stamps: list[float] = []  # no deques: they are slow to look into
+        self._values: list[np.ndarray] = []
 
     @property
     def newest_stamp_s(self) -> float | None:
@@ -67,16 +67,17 @@ class History:
 
     def add(self, stamp_s: float, value: np.ndarray) -> bool:
         """Keep a sample; False if the clock jumped, so that the history was started anew."""
-        if repeats(stamp_s, self.newest_stamp_s):
+        newest_s = self.newest_stamp_s
+        if repeats(stamp_s, newest_s):
             return True
-        jumped = bool(self._stamps) and not 0.0 < stamp_s - self._stamps[-1] <= _LENGTH_S
+        jumped = newest_s is not None and not 0.0 < stamp_s - newest_s <= _LENGTH_S
         if jumped:
             self.clear()
         self._stamps.append(stamp_s)
         self._values.append(value)
-        while self._stamps[-1] - self._stamps[0] > _LENGTH_S:
-            self._stamps.popleft()
-            self._values.popleft()
+        if stamp_s - self._stamps[0] > 2.0 * _LENGTH_S:  # rarely: what stays is moved
+            old = bisect_right(self._stamps, stamp_s - _LENGTH_S)
+            del self._stamps[:old], self._values[:old]
         return not jumped
 
     def at(self, stamp_s: float) -> np.ndarray | None:

@@ -77,7 +77,7 @@ class Track:
         before, n = self.timeline.joints.newest, len(joints_rad)
         moved_m = np.zeros(self.kind.size) if before is None else before[n:]
         if before is not None and jacobian is not None:
-            moved_m = moved_m + jacobian @ (joints_rad - before[:n])
+            moved_m = moved_m + jacobian.dot(joints_rad - before[:n])
         if jacobian is None:
             self.filter.restart()  # nothing to judge images by
         both = np.concatenate([joints_rad, moved_m])
@@ -134,10 +134,10 @@ class Track:
         None where there is nothing to predict from (see ``problem``).
         """
         newest_s, last = self.timeline.joints.newest_stamp_s, self.timeline.joints.newest
-        if newest_s is None or last is None or self.newest is None or self._accepted is None:
+        image, accepted, x = self.newest, self._accepted, self.filter.x
+        if newest_s is None or last is None or image is None or accepted is None or x is None:
             return None
-        late = newest_s - self.newest.stamp_s > MAX_LATENCY_S
-        if late or self.filter.x is None or self.problem:
+        if newest_s - image.stamp_s > MAX_LATENCY_S or self.problem:
             return None
-        x = self.filter.x + last[-self.kind.size :] - self.filter.moved_m
-        return self.kind.retract(self._accepted.z, x - self._accepted.seen_m)
+        x = x + last[-self.kind.size :] - self.filter.moved_m
+        return self.kind.retract(accepted.z, x - accepted.seen_m)
