@@ -49,4 +49,4 @@ if __name__ == "__main__":
     asked = json.load(sys.stdin)
     for name in {name for name, _ in asked}:
         import_module(name)
-    print("\n" + json.dumps([_run(*one) for one in asked]))
+    print("\n" + json.dumps([_run(*program) for program in asked]))

@@ -47,7 +47,7 @@ def test_a_quick_run_makes_a_complete_page(name, tmp_path, monkeypatch):
         assert size > 10_000 or name != "servo"
     for table in report["tables"]:
         assert len({tuple(row) for row in table["rows"]}) == 1
-    claims = [one["claim"] for one in report["verdicts"]]
+    claims = [verdict["claim"] for verdict in report["verdicts"]]
     assert len(set(claims)) == len(claims) >= 1
     page = (tmp_path / "index.md").read_text(encoding="utf-8")
     for text in (*claims, *(f"]({name}/{figure['file']})" for figure in report["figures"])):
@@ -65,9 +65,9 @@ def test_the_same_runs_come_from_one_process_and_from_two(tmp_path):
         for world in worlds
         for trial in trials_in(world, schemes_called(["proposed", "best"]))
     ]
-    there = Context(tmp_path, jobs=2).map(run_trial, trials, "test")
-    for one, other in zip(map(run_trial, trials), there, strict=True):
-        np.testing.assert_equal(one, other)
+    elsewhere = Context(tmp_path, jobs=2).map(run_trial, trials, "test")
+    for here, there in zip(map(run_trial, trials), elsewhere, strict=True):
+        np.testing.assert_equal(here, there)
 
 
 def test_a_heavy_tails_worst_image_does_not_throw_an_arm_at_rest_off_its_target():
@@ -111,12 +111,12 @@ def test_noise_is_alpha_stable():
 
 
 def test_a_page_names_a_command_that_makes_it(tmp_path, capsys):
-    given = ["everyday", "--seeds", "1", "--scheme", "rbf+pid"]
-    assert main.main([*given, "--jobs", "1", "--out", str(tmp_path)]) == 0
+    arguments = ["everyday", "--seeds", "1", "--scheme", "rbf+pid"]
+    assert main.main([*arguments, "--jobs", "1", "--out", str(tmp_path)]) == 0
     page = (tmp_path / "index.md").read_text(encoding="utf-8")
     (command,) = re.findall(r"Made by `fvs_experiments (.*?)`", page)
-    assert shlex.split(command) == given
-    assert main.main([*given[:-1], "none"]) == 2
+    assert shlex.split(command) == arguments
+    assert main.main([*arguments[:-1], "none"]) == 2
     assert "known are 'proposed'" in capsys.readouterr().err
 
 
@@ -131,8 +131,8 @@ def test_an_estimator_is_judged_before_it_learns_and_errors_add_up():
         MotionStep(float(t), 0.1, np.zeros(6), moved, ball)
         for t, ball in zip(times, balls_m, strict=True)
     )
-    given = {"initial": "zero", "measurement_noise_m": 1e-6, "process_noise": 10.0}
-    exact = create_estimator("lkf", None, {f"online.{name}": v for name, v in given.items()})
+    values = {"initial": "zero", "measurement_noise_m": 1e-6, "process_noise": 10.0}
+    exact = create_estimator("lkf", None, {f"online.{name}": v for name, v in values.items()})
     recording = Recording(steps, times, balls_m, np.ones((3, 3, 6)))
     row = score(recording, jacobians_of(exact, recording), 0.5)
     assert row["t1_m"] == pytest.approx((0.01 + np.hypot(0.01, 0.02)) / 3.0)
@@ -146,7 +146,7 @@ def test_an_estimator_is_judged_before_it_learns_and_errors_add_up():
 def test_best_is_close_to_the_floor_and_the_same_when_repeated():
     (case,) = make_cases("t", 1, 5)
     (trial,) = crossed([who.variant("best").changed(duration_s=2.0)], [case])
-    one, again = run_trial(trial), run_trial(trial)
-    assert one == again
+    outcome, again = run_trial(trial), run_trial(trial)
+    assert outcome == again
     least_s = who.floor_s(case)
-    assert least_s < one["to_5mm_s"] < 1.2 * least_s
+    assert least_s < outcome["to_5mm_s"] < 1.2 * least_s

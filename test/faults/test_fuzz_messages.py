@@ -24,7 +24,7 @@ NUMBER, UINT32 = st.floats(width=64), st.integers(0, 2**32 - 1)
 NAME = st.one_of(st.sampled_from([*UR_JOINT_NAMES, "left_elbow_joint", ""]), st.text(max_size=8))
 HEADER = st.builds(Header, frame_id=st.sampled_from(["camera", "camera", "", "map"]))
 POINT = st.builds(Point, x=NUMBER, y=NUMBER, z=NUMBER)
-TURN = st.one_of(NUMBER, st.sampled_from([0.0, 1.0]))
+COMPONENT = st.one_of(NUMBER, st.sampled_from([0.0, 1.0]))
 DIMENSIONS = st.one_of(st.sampled_from([[], [3, 6], [15, 3]]), st.lists(UINT32, max_size=4)).map(
     lambda sizes: [MultiArrayDimension(size=size) for size in sizes]
 )
@@ -59,7 +59,9 @@ POSE = st.builds(
     PoseStamped,
     header=HEADER,
     pose=st.builds(
-        Pose, position=POINT, orientation=st.builds(Quaternion, x=TURN, y=TURN, z=TURN, w=TURN)
+        Pose,
+        position=POINT,
+        orientation=st.builds(Quaternion, x=COMPONENT, y=COMPONENT, z=COMPONENT, w=COMPONENT),
     ),
 )
 
@@ -107,9 +109,9 @@ def test_a_message_is_finite_arrays_of_the_right_shape_or_refused_in_words(name)
     @MANY
     @given(message=messages)
     def holds(message):
-        found = list(unless_refused(read, message) or [])
-        assert not found or [value.shape for value in found] == shapes
-        assert all(value.dtype == np.float64 and np.isfinite(value).all() for value in found)
+        arrays = list(unless_refused(read, message) or [])
+        assert not arrays or [value.shape for value in arrays] == shapes
+        assert all(value.dtype == np.float64 and np.isfinite(value).all() for value in arrays)
 
     holds()
 
@@ -140,9 +142,9 @@ def test_a_command_that_is_not_finite_numbers_is_never_made(velocity):
 )
 def test_a_status_is_short_and_printable_and_keeps_its_keys(text, size, values):
     status = ros.to_status(ros.OK, "name", text * 100**size, values)
-    for told in (status.message, *(pair.value for pair in status.values)):
-        assert len(told) <= 1000
-        assert told.isprintable()
+    for word in (status.message, *(pair.value for pair in status.values)):
+        assert len(word) <= 1000
+        assert word.isprintable()
     assert list(ros.from_status(status)) == list(values)
 
 

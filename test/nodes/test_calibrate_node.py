@@ -49,11 +49,11 @@ def test_what_is_missing_is_named_and_odd_joints_end_nothing(ros_test, tmp_path)
     ball = ros_test.publisher(PointStamped, "ball_position")
 
     def expect(words, publisher, message):
-        def said():
+        def says_so():
             publisher.publish(message)
             return bool(states) and words in states[-1].message
 
-        ros_test.spin_until(said, what=words)
+        ros_test.spin_until(says_so, what=words)
 
     names = list(UR_JOINT_NAMES)
     expect("no joint_states yet", ball, PointStamped())

@@ -186,8 +186,8 @@ def test_images_are_asked_for_only_while_a_browser_looks(loop, pages):
 
 def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros_test, pages):
     slow = {"joint_state_rate_hz": 50, "image_rate_hz": 15.0, "full_frame_rate_hz": 1.0}
-    given = {"port": 0, **slow, **PATIENT}
-    arguments = (word for item in given.items() for word in ("-p", "{}:={}".format(*item)))
+    parameters = {"port": 0, **slow, **PATIENT}
+    arguments = (word for item in parameters.items() for word in ("-p", "{}:={}".format(*item)))
     process = ros_test.start("fvs_tools.launcher", "dashboard", *arguments)
     page = pages(address_of(ros_test, process))
     joint_states = ros_test.collect(JointState, topics.JOINT_STATES.name)
@@ -213,10 +213,10 @@ def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros
     wait(lambda: bump["visible"], "the simulator's parameters")
     page.press("Bump the camera")
     page.set("Depth noise (×)", 2.5)
-    wanted = GetParameters.Request(names=["depth_noise", "camera_rotation_deg"])
+    request = GetParameters.Request(names=["depth_noise", "camera_rotation_deg"])
 
     def disturbances():
-        answer = ros_test.call(GetParameters, "fvs_sim_node/get_parameters", wanted)
+        answer = ros_test.call(GetParameters, "fvs_sim_node/get_parameters", request)
         noise, rotation = answer.values
         return noise.double_value, any(rotation.double_array_value)
 
@@ -245,7 +245,7 @@ LOOK = """() => {
     const text = name => document.getElementById(`fvs-${name}`).innerText;
     const box = node => Object.values(node.getBoundingClientRect().toJSON());
     const button = name => [...document.querySelectorAll("button")]
-        .find(one => one.innerText == name);
+        .find(node => node.innerText == name);
     const banner = document.getElementById("fvs-banner");
     const names = ["Stop", "Go", "Set current as target"];
     return {state: banner.dataset.state, error: text("error"), answer: text("answer"),

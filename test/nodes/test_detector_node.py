@@ -151,8 +151,8 @@ def test_depth_that_is_not_registered_is_refused(watched):
 def test_another_cameras_names_compressed_and_lossy_images_and_late_stamps(ros_test):
     watched, delay_s = Watched(ros_test), 0.08
     camera = PlayedCamera(ros_test, ros.QOS_NEWEST, compressed=True, prefix="/cell/eye")
-    given = {"camera_topics": "/cell/eye", "compressed_images": True}
-    ros_test.start_node(NODE, stamp_delay_s=delay_s, **given)
+    another = {"camera_topics": "/cell/eye", "compressed_images": True}
+    ros_test.start_node(NODE, stamp_delay_s=delay_s, **another)
     last = watched.wait_for_balls()[-1]
     np.testing.assert_allclose(position(last), CENTRE, atol=0.004)
     assert last.header.frame_id == FRAME

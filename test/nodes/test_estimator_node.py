@@ -57,9 +57,11 @@ def test_by_every_method_the_jacobian_is_that_of_the_arm_often_enough(ros_test):
         true = simulation.true_jacobian(JointMap().positions(states[-1].name, states[-1].position))
     for method in ("rbf", "lkf", "ukf", "rls", "rbf_left", "poe", "oracle"):
         assert estimator.choose(method).successful
-        wanted = (method, "FROZEN" if method == "oracle" else "LEARNING")
+        expected = (method, "FROZEN" if method == "oracle" else "LEARNING")
         estimator.wait(
-            lambda wanted=wanted: (estimator.value("method"), estimator.value("state")) == wanted
+            lambda expected=expected: (
+                (estimator.value("method"), estimator.value("state")) == expected
+            )
         )
         error = np.linalg.norm(estimator.jacobian() - true)
         assert error < (1e-6 if method == "oracle" else 0.05) * np.linalg.norm(true), method
@@ -138,9 +140,9 @@ def test_without_a_model_it_hands_on_a_fresh_truth_or_waits_for_motion(ros_test)
     teller.cancel()
     ros_test.spin_for(0.4)
     estimator.wait_for("WAITING")
-    heard = len(estimator.jacobians)
+    count = len(estimator.jacobians)
     ros_test.spin_for(0.4)
-    assert len(estimator.jacobians) == heard
+    assert len(estimator.jacobians) == count
 
     # Another method is chosen while the controller rests, and at no other time.
     sliding = ros_test.publisher(Vector3Stamped, Ball.topics.sliding.name)
@@ -152,7 +154,7 @@ def test_without_a_model_it_hands_on_a_fresh_truth_or_waits_for_motion(ros_test)
     servoes.cancel()
     estimator.wait(lambda: estimator.choose("lkf").successful)
     estimator.wait(lambda: "has seen no motion" in estimator.text())
-    assert len(estimator.jacobians) == heard
+    assert len(estimator.jacobians) == count
 
 
 def test_whoever_comes_late_hears_of_the_chain_and_a_doubtful_model_says_so(ros_test):

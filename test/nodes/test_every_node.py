@@ -65,15 +65,15 @@ SETTLE_S = 1.0
 class LoneNode:
     """One running node: its ends in the ROS graph, and its parameter services."""
 
-    def __init__(self, harness, name, namespace, given):
-        self.harness, self.name, self.where = harness, name, f"/{namespace}"
+    def __init__(self, harness, name, namespace, overrides):
+        self.harness, self.name, self.namespace = harness, name, f"/{namespace}"
         parameters = parameters_of(name)
-        given = {**ALONE.get(name, {}), **given}
-        self.declared, self.values = {p.name: p for p in parameters}, parameters.values(given)
-        self.arguments = ros_arguments({"__ns": self.where}, **given)
+        overrides = {**ALONE.get(name, {}), **overrides}
+        self.declared, self.values = {p.name: p for p in parameters}, parameters.values(overrides)
+        self.arguments = ros_arguments({"__ns": self.namespace}, **overrides)
 
     def resolve(self, name):
-        return topics.resolve(name, self.name, self.where[1:])
+        return topics.resolve(name, self.name, self.namespace[1:])
 
     def ends(self, publishing):
         """Full name, type and quality of service of each of its ends in the graph."""
@@ -83,15 +83,15 @@ class LoneNode:
         ignored = {"/rosout", "/parameter_events"} if publishing else {"/clock"}
         return {
             (name, info.topic_type, info.qos_profile.reliability, info.qos_profile.durability)
-            for name, _ in by_node(self.name, self.where)
+            for name, _ in by_node(self.name, self.namespace)
             if name not in ignored
             for info in by_topic(name)
-            if (info.node_name, info.node_namespace) == (self.name, self.where)
+            if (info.node_name, info.node_namespace) == (self.name, self.namespace)
         }
 
     def serves(self):
         """Name and type of each of its services that not every node has."""
-        services = self.harness.node.get_service_names_and_types_by_node(self.name, self.where)
+        services = self.harness.node.get_service_names_and_types_by_node(self.name, self.namespace)
         every = ("rcl_interfaces/", "type_description_interfaces/")
         return {(name, kind) for name, (kind,) in services if not kind.startswith(every)}
 
@@ -145,12 +145,12 @@ def nodes(ros_test, request):
     arguments = json.dumps([node.arguments for node in own])
     process = ros_test.start("patient_node", NODE_TABLE[name].module, arguments)
     # A node that has spoken has made all that it makes at its start.
-    heard = ros_test.collect(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
-    wanted = {node.resolve("~") for node in own}
+    diagnostics = ros_test.collect(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
+    names = {node.resolve("~") for node in own}
     ros_test.spin_until(
-        lambda: wanted <= {status.name for message in heard for status in message.status},
+        lambda: names <= {status.name for message in diagnostics for status in message.status},
         30.0,
-        f"diagnostics of {sorted(wanted)}",
+        f"diagnostics of {sorted(names)}",
     )
     ros_test.spin_for(SETTLE_S)
     yield own

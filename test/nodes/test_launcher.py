@@ -143,11 +143,11 @@ def test_every_executable_says_what_it_is_for():
         assert code == 0, name
         assert f"\n\n{name}: " in f"\n\n{text}"
         assert "usage: " in text
-        wanted = {"fvs_launch": "  demo  ", "fvs_experiments": "  servo  ", "fvs_train": "--method"}
-        wanted |= {"fvs_servo_node": "--ros-args", "fvs_tag": "--size-m", "fvs_calibrate": "--urdf"}
+        words = {"fvs_launch": "  demo  ", "fvs_experiments": "  servo  ", "fvs_train": "--method"}
+        words |= {"fvs_servo_node": "--ros-args", "fvs_tag": "--size-m", "fvs_calibrate": "--urdf"}
         if name in NODE_TABLE:
-            wanted[name] = "\nparameters and their defaults:\n  "
-        assert wanted[name] in text
+            words[name] = "\nparameters and their defaults:\n  "
+        assert words[name] in text
 
 
 #: Module, arguments, and words of the refusal.
@@ -180,8 +180,8 @@ def test_what_cannot_do_as_told_says_so_in_a_sentence_and_ends(ros_test):
     commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
     ended = programs_in_turn.run(
         [
-            (module, given if isinstance(given, list) else ros_arguments(**given))
-            for module, given, _ in REFUSED
+            (module, own if isinstance(own, list) else ros_arguments(**own))
+            for module, own, _ in REFUSED
         ],
         env=environment,
     )

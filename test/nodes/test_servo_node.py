@@ -51,8 +51,8 @@ class Loop(Statuses):
 
 def ends(node, name):
     """Namespaces of the nodes, but the test's own, that publish or hear a topic."""
-    found = node.get_publishers_info_by_topic(name) + node.get_subscriptions_info_by_topic(name)
-    return {end.node_namespace for end in found if end.node_name != node.get_name()}
+    infos = node.get_publishers_info_by_topic(name) + node.get_subscriptions_info_by_topic(name)
+    return {end.node_namespace for end in infos if end.node_name != node.get_name()}
 
 
 def test_two_arms_in_one_process_keep_to_themselves_and_stop_with_zeros(ros_test):

@@ -17,14 +17,14 @@ from fvs_ros.kinds.pose import Pose
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 #: Fewer exchanges and images for a simulated second than a UR's.
-GIVEN = (
+COMMON = (
     *("robot:=iiwa", "tf_prefix:=left_", "feature:=pose", "command_interface:=position"),
     *("joint_state_rate_hz:=50", "image_rate_hz:=25.0"),
 )
 
 
-def launch(harness, scenario, *given, options=()):
-    arguments = (word for value in (*GIVEN, *given) for word in ("-p", value))
+def launch(harness, scenario, *parameters, options=()):
+    arguments = (word for value in (*COMMON, *parameters) for word in ("-p", value))
     process = harness.start("fvs_tools.launcher", scenario, *arguments, *options)
     assert harness.wait(process, 120.0) == 0, harness.output(process)
     return harness.output(process)
@@ -50,10 +50,10 @@ def test_an_arm_is_learned_and_servoed_by_its_name_with_positions(ros_test):
     commands = ros_test.collect(Float64MultiArray, topics.POSITION_COMMANDS.name, ros.QOS_EVERY)
     statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name, ros.QOS_EVERY)
     short = "targets:=2", "target_s:=3.0", "use_sim_time:=true", "simulated_time:=true"
-    given = *short, f"model_path:={model}", "output_dir:=out"
+    parameters = *short, f"model_path:={model}", "output_dir:=out"
     options = "--scheme", "best", "--record", "bag", "-p", "images:=false"
-    said = launch(ros_test, "demo", *given, options=options)
-    assert "to 5 mm" in said
+    output = launch(ros_test, "demo", *parameters, options=options)
+    assert "to 5 mm" in output
     assert {len(message.data) for message in commands} == {7}
     # The arm is stopped before the figure is drawn, and so not held meanwhile.
     states = [ros.from_status(status)["state"] for status in statuses]
@@ -103,7 +103,7 @@ def test_a_bad_description_holds_the_arm_and_a_good_one_gives_its_limits(ros_tes
 
     unknown, refused = "the joints' ranges are unknown", "robot_description is not usable"
     status.wait(lambda: says(unknown))
-    for message, words, said in (  # what is no description of this arm blocks nothing
+    for message, words, status_words in (  # what is no description of this arm blocks nothing
         (String(data="no xml"), "no XML", unknown),
         (urdf(known=["another"]), "it has none of the arm's joints", unknown),
         (urdf(known=names[:6]), "no moving joint joint_7", refused),
@@ -111,8 +111,8 @@ def test_a_bad_description_holds_the_arm_and_a_good_one_gives_its_limits(ros_tes
     ):
         description.publish(message)
         status.wait(
-            lambda said=said, words=words: (
-                says(said) and words in status.text() + ros_test.output(controller)
+            lambda status_words=status_words, words=words: (
+                says(status_words) and words in status.text() + ros_test.output(controller)
             ),
             what=words,
         )

@@ -74,8 +74,8 @@ class Robot:
         self.exposed.append((now_s, self.pose()))
         if self.steps % 2:
             stamp_s, pose = self.exposed[0]
-            seen = KIND.retract(pose, NOISE_M * self.rng.normal(size=KIND.size))
-            self.poses.publish(ros.to_feature(stamp_s, CAMERA_FRAME, KIND, seen))
+            measured = KIND.retract(pose, NOISE_M * self.rng.normal(size=KIND.size))
+            self.poses.publish(ros.to_feature(stamp_s, CAMERA_FRAME, KIND, measured))
 
     def pose(self, offset_rad=None):
         """Of the tag, now or at an offset from the first joints."""
@@ -86,33 +86,33 @@ class Robot:
 def test_a_robot_never_seen_before_is_learned_and_servoed_over_its_topics_alone(ros_test):
     robot = Robot(ros_test)
     data, model = ros_test.folder / "data.npz", ros_test.folder / "model.npz"
-    given = {"feature": "pose", "joint_names": NAMES}
+    common = {"feature": "pose", "joint_names": NAMES}
     collector = ros_test.start_node(
-        "fvs_estimator_node.collector_node", output_path=data, duration_s=COLLECT_S, **given
+        "fvs_estimator_node.collector_node", output_path=data, duration_s=COLLECT_S, **common
     )
     assert ros_test.wait(collector, COLLECT_S + 40.0) == 0, ros_test.output(collector)
     trainer = ros_test.start("fvs_tools.train", str(data), "-o", str(model), "--method", "poe")
     assert ros_test.wait(trainer, 60.0) == 0, ros_test.output(trainer)
 
-    said = Statuses(ros_test, topics.CONTROLLER)
-    ros_test.start_node("fvs_estimator_node.node", model_path=model, method="poe", **given)
-    ros_test.start_node("fvs_controller_node.node", law="minimum_time", **given)
+    status = Statuses(ros_test, topics.CONTROLLER)
+    ros_test.start_node("fvs_estimator_node.node", model_path=model, method="poe", **common)
+    ros_test.start_node("fvs_controller_node.node", law="minimum_time", **common)
     publisher = ros_test.publisher(PoseStamped, TARGET, ros.QOS_LATCHED)
     for sign in (1.0, -1.0):
         target = robot.pose(sign * np.array([0.2, -0.1, 0.15, 0.2, -0.1, 0.2, 0.1]))
         publisher.publish(ros.to_feature(0.0, CAMERA_FRAME, KIND, target))
-        said.wait(lambda: said.value("state") in ("READY", "SERVOING"), what="READY")
-        if said.value("state") == "READY":
+        status.wait(lambda: status.value("state") in ("READY", "SERVOING"), what="READY")
+        if status.value("state") == "READY":
             assert ros_test.call(Trigger, "fvs_controller_node/start").success
-        wanted = f"{target[0]:.5g}"
-        said.wait(
-            lambda w=wanted: said.reason() == "SETTLED" and said.value("target_x_m") == w,
+        target_x = f"{target[0]:.5g}"
+        status.wait(
+            lambda x=target_x: status.reason() == "SETTLED" and status.value("target_x_m") == x,
             what="SETTLED",
         )
-        off_m = []
+        errors_m = []
 
-        def stays(target=target, off_m=off_m):
-            off_m.append(np.linalg.norm(KIND.minus(robot.pose(), target)))
-            return len(off_m) > 20 and max(off_m[-20:]) < 0.005
+        def stays(target=target, errors_m=errors_m):
+            errors_m.append(np.linalg.norm(KIND.minus(robot.pose(), target)))
+            return len(errors_m) > 20 and max(errors_m[-20:]) < 0.005
 
-        said.wait(stays, what="the tag on its target for a while")
+        status.wait(stays, what="the tag on its target for a while")
