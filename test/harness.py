@@ -316,8 +316,8 @@ class PlayedRobot:
         self.ball = np.array([0.0, 0.1, 1.4])
         self.velocity = np.zeros(6)
         self.silent: set[str] = set()  # topics that are not published for now
-        #: Topic -> function from a message to those that are sent in its place.
-        self.spoil: dict[str, Callable[[Any], list]] = {}
+        #: Topic -> what changes each of its messages.
+        self.spoil: dict[str, Callable[[Any], None]] = {}
         #: When each command was sent, s, wall clock of the middleware, and the command.
         self.commands: list[tuple[float, Float64MultiArray]] = []
         node = harness.node
@@ -342,8 +342,8 @@ class PlayedRobot:
 
     def _send(self, topic: str, message: Any) -> None:
         if topic not in self.silent:
-            for sent in self.spoil.get(topic, lambda m: [m])(message):
-                self._publishers[topic].publish(sent)
+            self.spoil.get(topic, lambda _: None)(message)
+            self._publishers[topic].publish(message)
 
     def _on_command(self, message: Float64MultiArray, info: Mapping[str, int]) -> None:
         self.commands.append((info["source_timestamp"] * 1e-9, message))

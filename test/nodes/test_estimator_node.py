@@ -110,7 +110,6 @@ def test_it_learns_from_motion_unless_frozen_and_a_reset_forgets(ros_test):
     # What it cannot use is said, and makes no nonsense of the Jacobian.
     def elsewhere(message):
         message.header.frame_id = "base_link"
-        return [message]
 
     robot.spoil[Ball.topics.tool.name] = elsewhere
     estimator.wait_for("FAULT", "base_link")

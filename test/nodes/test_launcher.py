@@ -112,10 +112,6 @@ def test_a_signal_at_any_moment_of_the_start_ends_all(ros_test, moment):
     assert "Traceback" not in ros_test.output(process)
 
 
-def command_line(pid):
-    return Path(f"/proc/{pid}/cmdline").read_text()
-
-
 def test_a_recorder_that_gives_up_stops_nothing_and_a_node_that_dies_all(ros_test):
     pytest.importorskip("rosbags")
     process = ros_test.start(MODULE, "servo", *RECORD)
@@ -130,7 +126,9 @@ def test_a_recorder_that_gives_up_stops_nothing_and_a_node_that_dies_all(ros_tes
     truths.clear()
     ros_test.spin_until(lambda: len(truths) > 10, 30.0, "the simulator")
     nodes = children(process.pid)
-    estimator = next(pid for pid in nodes if "fvs_estimator_node" in command_line(pid))
+    (estimator,) = (
+        pid for pid in nodes if "fvs_estimator_node" in Path(f"/proc/{pid}/cmdline").read_text()
+    )
     os.kill(estimator, signal.SIGKILL)
     assert ros_test.wait(process) == 1
     assert "fvs_estimator_node ended with signal SIGKILL" in ros_test.output(process)

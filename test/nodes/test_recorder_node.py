@@ -26,19 +26,11 @@ RECORDER = "fvs_tools.recorder_node"
 DEEP = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 
 
-def metadata(folder):
-    text = (folder / "metadata.yaml").read_text(encoding="utf-8")
-    return yaml.safe_load(text)["rosbag2_bagfile_information"]
-
-
 def declared_counts(folder):
     """Messages by topic, as the bag's metadata has them."""
-    return Counter(
-        {
-            topic["topic_metadata"]["name"]: topic["message_count"]
-            for topic in metadata(folder)["topics_with_message_count"]
-        }
-    )
+    text = (folder / "metadata.yaml").read_text(encoding="utf-8")
+    listed = yaml.safe_load(text)["rosbag2_bagfile_information"]["topics_with_message_count"]
+    return Counter({t["topic_metadata"]["name"]: t["message_count"] for t in listed})
 
 
 def read_back(folder):
