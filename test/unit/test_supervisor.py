@@ -369,16 +369,23 @@ def test_neither_noisy_targets_nor_gaps_in_an_input_hide_an_error_that_grows(eve
 # ---- the target -----------------------------------------------------------------------------
 
 
-def test_a_target_that_a_new_box_dropped_does_not_come_back_by_itself():
+@each("dropped", [False, True])
+def test_a_target_after_a_moving_one_or_a_dropped_one_is_a_task_of_its_own(dropped):
     config, there = SupervisorConfig(), np.array([0.8, 0.0, 1.0])
     goal = Goal(config)
-    goal.set(there, FRAME)
-    for _ in range(100):
+    for k in range(161):
+        assert goal.set(TARGET + k / 160.0 * (there - TARGET), FRAME, 0.03 * k)[0]
+        goal.track(0.03 * k)
+    for tick in range(300):
+        goal.track(4.8 + DT_S * tick)
         goal.see(there, DT_S, True)
-    goal.configure(dataclasses.replace(config, workspace_max_m=(0.5, 1.0, 3.0)))
-    assert goal.target is None
-    assert goal.set(TARGET, FRAME)[0]  # another task: going there is no swing
-    for left in np.linspace(1.0, 0.0, 300):
+    assert goal.settled
+    if dropped:
+        goal.configure(dataclasses.replace(config, workspace_max_m=(0.5, 1.0, 3.0)))
+        assert goal.target is None
+    assert goal.set(TARGET, FRAME)[0]
+    assert not goal.settled
+    for left in np.linspace(1.0, 0.0, 120):  # going there is no swing
         goal.see(TARGET + left * (there - TARGET), DT_S, True)
         assert goal.progress.check(config) is None
 
