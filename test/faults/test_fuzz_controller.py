@@ -105,11 +105,10 @@ def test_a_limit_that_is_lowered_in_motion_is_reached_by_braking_with_all_it_has
 def test_the_law_changes_only_while_the_arm_is_stopped():
     machine = Machine()
     machine.begin(at_work=True)
-    world = machine.world
-    for stop, law in ((lambda: None, "proportional"), (world.stop, "ftsm")):
+    for stop, law in ((lambda: None, "proportional"), (machine.stop, "ftsm")):
         stop()
         machine.change({"law": "ftsm"})
-        assert world.node.values["law"] == law
+        assert machine.node.values["law"] == law
 
 
 def test_a_jump_that_is_stamped_ahead_stops_the_arm_and_is_forgotten():
