@@ -20,7 +20,7 @@ from fvs_ros.chain import SerialChain
 from fvs_ros.filter import OUTLIER
 from fvs_ros.kinds import Kind
 from fvs_ros.rotations import nearest_rotation, rotation_angle_rad
-from fvs_ros.vectors import length
+from fvs_ros.vectors import largest, length
 
 #: Prior deviation of the rotation, rad, and memory (positions until a weight has decayed by 63 %),
 #: for the positions of a chain and for those summed from networks.
@@ -30,6 +30,8 @@ _BUMP_M = 0.01
 #: Largest prior deviation of the rotation after a bump, rad. It applies to a bump that follows
 #: another within this number of positions: the first one did not show all of the rotation.
 _BUMPED_RAD, _SOON = 0.7, 20
+#: No longer step, rad, is one Jacobian in its middle good for: at twice that it may miss 10 mm.
+_LONGEST_RAD = 0.2
 #: A ball within this distance of the last stored position is at rest, m.
 _STILL_M = 0.002
 
@@ -205,12 +207,12 @@ class TurnedRbfEstimator(_BehindCamera):
 
         Directions say nothing before the camera's rotation is known.
         """
-        if self._joints is None:
-            self._sum_m = z[:3]
+        step = np.full(1, np.inf) if self._joints is None else joints_rad - self._joints
+        if largest(step) > _LONGEST_RAD:
+            # At first, or after a loss: the sum goes on from where the feature is seen.
+            self._sum_m = self.camera.rotation.T @ (z[:3] - self.camera.translation_m)
         else:
-            step = joints_rad - self._joints
-            moved_m = self._model.jacobian(self._joints + 0.5 * step)[:3] @ step
-            self._sum_m = self._sum_m + moved_m
+            self._sum_m = self._sum_m + self._model.jacobian(joints_rad - 0.5 * step)[:3] @ step
         self._joints = joints_rad
         self.camera.add(self._sum_m, z[:3], noise_m)
         self.updates += 1

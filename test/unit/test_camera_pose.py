@@ -114,3 +114,10 @@ def test_each_bump_is_counted_and_nothing_else(bumped_s):
         seen = turned @ ball if stamp_s > bumped_s else ball
         estimator.observe(joints, seen, NOISE_M)
     assert estimator.camera.bumps == int(bumped_s < 20.0)
+
+
+def test_a_loss_in_motion_is_no_bump(networks):
+    estimator, rng = made("rbf_left", networks), np.random.default_rng(0)
+    for start_s in (0.0, 4.0, 8.0, 12.0):
+        see(estimator, ur5_chain(), Recording().joints(start_s + np.arange(60) / 30.0), rng)
+    assert estimator.camera.bumps == 0
