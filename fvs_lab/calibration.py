@@ -14,8 +14,6 @@ from scipy.stats import chi2
 
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.collecting import CollectorConfig
-from fvs_estimator_node.files import DataSet
-from fvs_estimator_node.joint_path import Path
 from fvs_lab import experiment as lab
 from fvs_lab.arms import collect
 from fvs_lab.results import METRICS, Results
@@ -27,7 +25,7 @@ from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_sim_node.robot import robot_of
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.calibration import calibrate
-from fvs_tools.hand_eye_model import HandEyeModel, Unknowns, registration
+from fvs_tools.hand_eye_model import registration
 
 #: Duration of the motion, s.
 MOTION_S = 60.0
@@ -137,24 +135,23 @@ def least_squares_pose(
     Of boards at reported joints, rad, (k, n), with rotations and positions, m, from images.
     Rotations count by their arcs at 0.3 m. The zero of the first joint counts as the base's.
     """
-    measured = np.array([Pose(0.3).of_body(position, rotation) for rotation, position in boards])
-    poses = np.arange(TAUGHT)
-    data = DataSet(poses, reported_rad, measured, poses, arm().names, still=True, feature=Pose.name)
-    model = HandEyeModel(data, Path(data), arm(), *registration(arm(), reported_rad, measured))
+    kind = Pose(0.3)
+    measured = np.array([kind.of_body(position, rotation) for rotation, position in boards])
+    start, board = registration(arm(), reported_rad, measured)
 
-    def unknowns(values: np.ndarray) -> np.ndarray:
-        """Those of the model: camera, board, and all zeros but the first; the rest is exact."""
-        camera_and_board, zeros = np.split(values, [12])
-        parts = Unknowns(*map(np.zeros, model.sizes))
-        parts.zeros[1:] = zeros
-        return np.concatenate([camera_and_board, *parts[2:]])
+    def camera(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return rotation_from_vector(values[3:6]) @ start[:3, :3], start[:3, 3] + values[:3]
 
     def residuals(values: np.ndarray) -> np.ndarray:
-        return np.ravel(data.kind.weights * (model.features(unknowns(values)) - measured))
+        rotation, position_m = camera(values)
+        chain = arm().chain(kind.retract(board, kind.unit * values[6:12]))
+        joints = reported_rad + np.append(0.0, values[12:])
+        vectors = chain.position(joints).reshape(len(joints), -1, 3)
+        vectors[:, 0] -= position_m
+        features = (vectors @ rotation).reshape(measured.shape)
+        return np.ravel(kind.weights * (features - measured))
 
-    fitted = least_squares(residuals, np.zeros(11 + len(arm().names))).x
-    base_from_camera = model.poses(model.unknowns(unknowns(fitted)))[0]
-    return base_from_camera[:3, :3], base_from_camera[:3, 3]
+    return camera(least_squares(residuals, np.zeros(11 + len(arm().names))).x)
 
 
 def measure(context: lab.Context) -> Results:
