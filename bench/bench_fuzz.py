@@ -31,7 +31,7 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 from tqdm import tqdm
 
 from bench.fuzz_promises import JudgedWorld
@@ -162,9 +162,12 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
             self.work()
 
     def teardown(self):
-        """Shut down, unless something is wrong already."""
+        """End the node, unless something is wrong already: zeros, whatever comes after."""
         if sys.exc_info()[0] is None and hasattr(self, "node"):
-            self.shut_down()
+            self.last = self.node._loop.supervisor.shutdown().velocity_rad_s
+            self.end_session()
+            self.bad.add("the end")
+            self.run(3)
 
     def _of_joints(self, values):
         """As many of the values as the arm has joints."""
@@ -258,8 +261,16 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
     @rule(running=OFTEN, percent=st.sampled_from([100.0] * 9 + [30.0, -1.0, *ODD]), ticks=TICKS)
     def robot(self, running=True, percent=100.0, ticks=5):
         """Let the robot's program stop or run, and turn its speed slider."""
-        self.send_program(running)
-        self.send_scaling(percent)
+        self.program_runs = running
+        if math.isfinite(percent):
+            self.scaling = percent
+            self.bad.discard("speed_scaling")
+        else:
+            self.bad.add("speed_scaling")
+        if not running or -math.inf < percent <= 0.0:
+            self.end_session()
+        self.node._on_program_running(Bool(data=running))
+        self.node._on_speed_scaling(Float64(data=percent))
         self.run(ticks)
 
     @rule(plant=st.sampled_from(sorted(PLANTS)), ticks=TICKS)
@@ -279,9 +290,11 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
     @rule(values=OF_JOINTS, own=st.booleans(), ticks=st.integers(1, 9))
     def other_commander(self, values, own=False, ticks=9):
         """Let another node command the arm, or one's own commands come back."""
-        values = self._of_joints(values)
         for _ in range(ticks):
-            self.send_command(self.last if own else values)
+            command = (self.last if own else self._of_joints(values)).tolist()
+            if tuple(command) not in self.node._sent:
+                self.end_session()
+            self.node._on_any_command(Float64MultiArray(data=command))
             self.run(1)
 
     @rule(

@@ -200,7 +200,9 @@ class JudgedWorld(World):
 
     def _judge_session(self, now_s):
         """It was asked for, on fresh inputs."""
-        keep("moves when asked only", self.take_session())
+        if self._autostart_left:  # it starts once by itself
+            self.session, self._autostart_left = True, False
+        keep("moves when asked only", self.session)
         for name in MAX_AGE:
             age_s = now_s - self.arrived_s[name]
             keep("fresh inputs", age_s <= self.max_age_s(name), name, age_s)

@@ -13,7 +13,6 @@ from collections import Counter, deque
 import numpy as np
 import rclpy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, Float64MultiArray
 
 from bench.dry_node import DryController
 from fvs_controller_node.config import PARAMETERS, SupervisorConfig
@@ -139,12 +138,6 @@ class World:
         if self.session:
             self.session = self._autostart_left = False
 
-    def take_session(self):
-        """Whether the arm may move: it was started, or starts once by itself."""
-        if not self.session and self._autostart_left:
-            self.session, self._autostart_left = True, False
-        return self.session
-
     # ---- time -----------------------------------------------------------------------------
 
     def run(self, ticks, *, silent=(), frozen=(), steady_s=TICK_S, ros_s=None):
@@ -267,31 +260,6 @@ class World:
             self._note(JACOBIAN, None)
         self.node._on_chain(message)
 
-    def send_program(self, running):
-        """Say whether the robot's program runs."""
-        self.program_runs = running
-        if not running:
-            self.end_session()
-        self.node._on_program_running(Bool(data=running))
-
-    def send_scaling(self, percent):
-        """Say the robot's speed scaling, %."""
-        self.bad.discard("speed_scaling")
-        if math.isfinite(percent):
-            self.scaling = percent
-            if percent <= 0.0:
-                self.end_session()
-        else:
-            self.bad.add("speed_scaling")
-        self.node._on_speed_scaling(Float64(data=percent))
-
-    def send_command(self, values):
-        """Let another node command the arm."""
-        values = [float(v) for v in values]
-        if tuple(values) not in self.node._sent:  # one's own come back, too
-            self.end_session()
-        self.node._on_any_command(Float64MultiArray(data=values))
-
     # ---- the operator -------------------------------------------------------------------------
 
     def send_target(self, target_m, frame=CAMERA_FRAME):
@@ -337,13 +305,6 @@ class World:
         same = before == (loop.law, loop.supervisor.config, self.node.values)
         keep("a refusal changes nothing", same, values)
         keep("says why", bool(result.reason), values)
-
-    def shut_down(self):
-        """End the node: zeros, or a ramp to them, whatever comes after."""
-        self.last = self.node._loop.supervisor.shutdown().velocity_rad_s
-        self.end_session()
-        self.bad.add("the end")
-        self.run(3)
 
 
 def _read(parse, message, *rest):

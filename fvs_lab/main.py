@@ -12,16 +12,13 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fvs_lab.report import EXPERIMENTS, LONG, write_page, write_report
 from fvs_ros import console
 from fvs_ros.arguments import Parser, how_to_install
 from fvs_ros.paths import version
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
-
-if TYPE_CHECKING:
-    from fvs_lab.experiment import Experiment
 
 #: Packages that the experiments need.
 NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
@@ -114,6 +111,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     from fvs_lab.experiment import Context
+    from fvs_lab.robustness import EXPERIMENTS as LONG_ONES
     from fvs_lab.robustness import schemes_called
 
     try:
@@ -133,7 +131,8 @@ def _run(arguments: argparse.Namespace) -> int:
     began_s = time.monotonic()
     for number, name in enumerate(names, start=1):
         print(f"== {name} ({number} of {len(names)})", flush=True)
-        experiment = experiment_called(name)
+        module = None if name in LONG else importlib.import_module(f"fvs_lab.{name}")
+        experiment = module.EXPERIMENT if module else LONG_ONES[name]
         report = experiment.run(context)
         origin = _origin(arguments, experiment.model)
         write_report({"origin": origin, **report}, context.folder(name))
@@ -143,15 +142,6 @@ def _run(arguments: argparse.Namespace) -> int:
         page = write_page(context.out)
     print(f"page: {page} ({(time.monotonic() - began_s) / 60.0:.1f} min)", flush=True)
     return EXIT_OK
-
-
-def experiment_called(name: str) -> Experiment:
-    """The experiment of a name; only its own module is imported."""
-    if name in LONG:
-        from fvs_lab.robustness import EXPERIMENTS as LONG_ONES
-
-        return LONG_ONES[name]
-    return importlib.import_module(f"fvs_lab.{name}").EXPERIMENT
 
 
 def _origin(arguments: argparse.Namespace, model: str) -> dict[str, Any]:
