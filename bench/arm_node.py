@@ -50,7 +50,7 @@ class Arm:
         self._image_s = self._target_s = 0.0
 
     def _ball_m(self):
-        return CAMERA.to_camera(CHAIN.position(self._joints_rad))
+        return CAMERA.to_own(CHAIN.position(self._joints_rad))
 
     @property
     def moves(self):

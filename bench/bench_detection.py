@@ -34,7 +34,7 @@ def images(poses):
     for offset_rad in poses:
         world.reset(np.add(HOME_JOINTS_RAD, offset_rad))
         world.place_carried()
-        yield *renderer.render(POSE), POSE.to_camera(world.carried_position())
+        yield *renderer.render(POSE), POSE.to_own(world.carried_position())
     world.close()
 
 

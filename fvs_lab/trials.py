@@ -17,7 +17,7 @@ from fvs_estimator_node.base import Estimator
 from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.track import Track
 from fvs_ros.vectors import length
-from fvs_sim_node.camera import CAMERAS, CameraPose
+from fvs_sim_node.camera import CAMERAS, RigidPose
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.simulation import Simulation
@@ -88,7 +88,7 @@ class Conditions(SimConfig):
     camera_distance_m: float = 0.0
 
 
-def _carried_camera(rotation_rad: np.ndarray, distance_m: float) -> CameraPose:
+def _carried_camera(rotation_rad: np.ndarray, distance_m: float) -> RigidPose:
     """The front camera, carried round the scene by a rotation vector in its own frame, rad.
 
     The Jacobian rotates with it. The ball stays in view; a rotation by 30 degrees on the spot would
@@ -101,7 +101,7 @@ def _carried_camera(rotation_rad: np.ndarray, distance_m: float) -> CameraPose:
         away_m *= distance_m / np.linalg.norm(away_m)
     local = rotation_from_vector(rotation_rad)
     rotation = camera.rotation @ local
-    return CameraPose(scene_m + rotation @ camera.rotation.T @ away_m, rotation)
+    return RigidPose(scene_m + rotation @ camera.rotation.T @ away_m, rotation)
 
 
 def simulation_of(conditions: Conditions) -> Simulation:
@@ -238,7 +238,7 @@ def photo(simulation: Simulation) -> np.ndarray:
     frame = simulation.look().frame
     simulation.full_frames = False
     assert frame is not None
-    return frame.rgb
+    return frame[0]
 
 
 def sees_all(

@@ -1,4 +1,4 @@
-"""The simulated depth camera: pose, images and noise."""
+"""The simulated depth camera: its poses and the noise of its depths."""
 
 from __future__ import annotations
 
@@ -7,59 +7,46 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from fvs_ros.rotations import quaternion_from_rotation
-
 
 @dataclass(frozen=True)
-class CameraPose:
-    """Where the camera is: ``p_world = rotation @ p_camera + position_m``."""
+class RigidPose:
+    """Where a camera or a body is: ``p_parent = rotation @ p_own + position_m``.
 
-    position_m: np.ndarray  # of its centre, world frame, (3,)
-    rotation: np.ndarray  # columns: axes of the optical frame (x right, y down, z forward), (3, 3)
+    A camera's own frame is the optical one: x right, y down, z forward.
+    """
+
+    position_m: np.ndarray  # of its origin, (3,)
+    rotation: np.ndarray  # columns: its axes, (3, 3)
 
     @classmethod
-    def looking(cls, eye_m: tuple[float, ...], target_m: tuple[float, ...]) -> CameraPose:
-        """At ``eye_m``, upright, with ``target_m`` in the middle of the image; world frame, m."""
+    def looking(cls, eye_m: tuple[float, ...], target_m: tuple[float, ...]) -> RigidPose:
+        """A camera at ``eye_m``, upright, ``target_m`` in mid-image; world frame, m."""
         eye, forward = np.array(eye_m), np.subtract(target_m, eye_m)
         right = np.cross(forward, (0.0, 0.0, 1.0))
         z_axis, x_axis = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
         return cls(eye, np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1))
 
-    def turned(self, rotation_rad: np.ndarray) -> CameraPose:
-        """The same turned about its centre by a rotation vector of its frame, rad, shape (3,)."""
+    def turned(self, rotation_rad: np.ndarray) -> RigidPose:
+        """The same turned about its origin by a rotation vector of its frame, rad, shape (3,)."""
         rotation = cv2.Rodrigues(np.asarray(rotation_rad, dtype=float))[0]
-        return CameraPose(self.position_m, self.rotation @ rotation)
+        return RigidPose(self.position_m, self.rotation @ rotation)
 
-    def moved(self, translation_m: np.ndarray) -> CameraPose:
-        """The same moved by a vector of the world frame, m, shape (3,)."""
-        return CameraPose(self.position_m + translation_m, self.rotation)
+    def moved(self, translation_m: np.ndarray) -> RigidPose:
+        """The same moved by a vector of the parent frame, m, shape (3,)."""
+        return RigidPose(self.position_m + translation_m, self.rotation)
 
-    def to_camera(self, point_world_m: np.ndarray) -> np.ndarray:
-        """Points, shape (..., 3), m, from the world frame into the camera's."""
-        return (np.asarray(point_world_m) - self.position_m) @ self.rotation
-
-    @property
-    def quaternion(self) -> np.ndarray:
-        """``rotation`` as a unit quaternion (x, y, z, w)."""
-        return quaternion_from_rotation(self.rotation)
+    def to_own(self, points_m: np.ndarray) -> np.ndarray:
+        """Points, shape (..., 3), m, from the parent frame into its own."""
+        return (np.asarray(points_m) - self.position_m) @ self.rotation
 
 
 #: Named camera poses. ``front`` is in front of the arm and to its side, where the wrist rarely
 #: hides the ball. ``overhead`` looks down from above the arm, as in the paper; there the wrist
 #: hides the ball more often.
 CAMERAS = {
-    "front": CameraPose.looking((1.3, -1.0, 0.85), (0.47, 0.1, 0.33)),
-    "overhead": CameraPose.looking((1.2, -0.4, 1.8), (0.47, 0.1, 0.33)),
+    "front": RigidPose.looking((1.3, -1.0, 0.85), (0.47, 0.1, 0.33)),
+    "overhead": RigidPose.looking((1.2, -0.4, 1.8), (0.47, 0.1, 0.33)),
 }
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A full image with its noisy depth."""
-
-    stamp_s: float  # exposure
-    rgb: np.ndarray  # uint8, (H, W, 3)
-    depth_m: np.ndarray  # float32, (H, W): along the optical axis; 0 where there is none
 
 
 @dataclass(frozen=True)

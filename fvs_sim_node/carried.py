@@ -2,14 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import cv2
 import numpy as np
 
 from fvs_detector_node.images import Region
+from fvs_detector_node.tag_corners import TagReader
+from fvs_detector_node.tags import SQUARE
 from fvs_ros.camera import Intrinsics
-from fvs_sim_node.camera import CameraPose
+from fvs_sim_node.camera import RigidPose
 from fvs_sim_node.config import BALL_RGBA, SimConfig
 from fvs_sim_node.shapes import BulletClient, box, sphere
-from fvs_sim_node.tag import TagPicture
+
+
+@dataclass(frozen=True)
+class Print:
+    """How a tag is drawn."""
+
+    #: Pixels of a cell in the texture.
+    cell_px: int = 16
+    #: Samples of an image's pixel on each side.
+    samples: int = 4
+    #: Deviation of the lens's blur, px.
+    blur_px: float = 0.6
+    #: Brightness of the ink and of the paper, grey levels.
+    ink: float = 20.0
+    paper: float = 235.0
+    #: Deviation of a pixel's noise, grey levels.
+    noise: float = 2.0
+    #: A print is in view where the depth is within this of its plane's, m.
+    near_m: float = 0.006
+
+
+PRINT = Print()
 
 
 class Carried:
@@ -29,7 +55,7 @@ class Carried:
         """A visual shape of PyBullet."""
         raise NotImplementedError
 
-    def part(self, pose: CameraPose, camera: Intrinsics) -> Region | None:
+    def part(self, pose: RigidPose, camera: Intrinsics) -> Region | None:
         """The part of the image that shows it; None if it is out of view."""
         raise NotImplementedError
 
@@ -38,10 +64,13 @@ class Carried:
         rgb: np.ndarray,
         depth_m: np.ndarray,
         view: Intrinsics,
-        poses: list[CameraPose],
+        poses: list[RigidPose],
         rng: np.random.Generator,
     ) -> None:
-        """Paint what the renderer cannot, blurred over the poses during an exposure."""
+        """Paint what the renderer cannot into an image, (H, W, 3), where its depth is the body's.
+
+        Blurred over ``poses``, those in the camera's frame during the exposure.
+        """
 
 
 class CarriedBall(Carried):
@@ -51,7 +80,7 @@ class CarriedBall(Carried):
         """A sphere."""
         return sphere(client, self._config.ball_radius_m, BALL_RGBA)
 
-    def part(self, pose: CameraPose, camera: Intrinsics) -> Region | None:
+    def part(self, pose: RigidPose, camera: Intrinsics) -> Region | None:
         """Around its outline."""
         radius_m, z = self._config.ball_radius_m, pose.position_m[2]
         if z < 2.0 * radius_m:
@@ -61,16 +90,33 @@ class CarriedBall(Carried):
 
 
 class CarriedTag(Carried):
-    """The tags of a layout on white paper."""
+    """The tags of a layout on white paper: textures, by homographies, where it is in view."""
 
     tilt_rad = np.array([0.4, 0.4, 0.0])  # seen squarely it tells its pose less well
 
     def __init__(self, config: SimConfig) -> None:
         super().__init__(config)
-        self._tag, self._picture = config.tag, TagPicture(config.tag)
-        self._flat = self._tag.extent_m[2] == 0.0
-        self.depth_m = 0.5 * self._tag.extent_m.max()  # the flange hides none of it
+        self._tag = tag = config.tag
+        TagReader(tag)  # checks the numbers
+        self._flat = tag.extent_m[2] == 0.0
+        self.depth_m = 0.5 * tag.extent_m.max()  # the flange hides none of it
         self.rod_gap_m = 0.03 if self._flat else 0.0
+        self._textures = {
+            number: np.pad(
+                cv2.aruco.generateImageMarker(tag.dictionary, number, tag.cells * PRINT.cell_px),
+                PRINT.cell_px,
+                constant_values=255,
+            )
+            for number in tag.faces
+        }
+        m_px = tag.pitch_m / ((tag.cells + 2) * PRINT.cell_px)
+        first_m = 0.5 * (tag.pitch_m - m_px)  # from the middle to the first pixel's
+        self._to_tag = np.array([[m_px, 0, -first_m], [0, -m_px, first_m], [0, 0, 1]])
+        self._square_m = tag.pitch_m * SQUARE
+        #: Corners of all prints with their borders, in the body's frame, (4 k, 3).
+        self._corners_m = np.concatenate(
+            [face.middle_m + self._square_m @ face.rotation.T for face in tag.faces.values()]
+        )
 
     def shape(self, client: BulletClient) -> int:
         """A box with its sides in the planes of the tags; a plate's front, if it is flat."""
@@ -79,9 +125,9 @@ class CarriedTag(Carried):
         white = (1.0, 1.0, 1.0, 1.0)
         return box(client, half_m + [0.0, 0.0, behind_m], white, (0.0, 0.0, -behind_m))
 
-    def part(self, pose: CameraPose, camera: Intrinsics) -> Region | None:
+    def part(self, pose: RigidPose, camera: Intrinsics) -> Region | None:
         """Around all tags, if one looks at the camera."""
-        corners_m = self._picture.corners_m @ pose.rotation.T + pose.position_m
+        corners_m = self._corners_m @ pose.rotation.T + pose.position_m
         if corners_m[:, 2].min() < 0.05 or not self._tag.facing(pose.rotation, pose.position_m):
             return None
         return _in_view(camera.project(corners_m), camera)
@@ -91,11 +137,61 @@ class CarriedTag(Carried):
         rgb: np.ndarray,
         depth_m: np.ndarray,
         view: Intrinsics,
-        poses: list[CameraPose],
+        poses: list[RigidPose],
         rng: np.random.Generator,
     ) -> None:
         """Paint the tags."""
-        self._picture.paint(rgb, depth_m, view, poses, rng)
+        middle = poses[len(poses) // 2]
+        for number in self._tag.facing(middle.rotation, middle.position_m):
+            face = self._tag.faces[number]
+            prints = [
+                RigidPose(
+                    pose.position_m + pose.rotation @ face.middle_m, pose.rotation @ face.rotation
+                )
+                for pose in poses
+            ]
+            print_ = prints[len(prints) // 2]
+            corners_m = self._square_m @ print_.rotation.T + print_.position_m
+            if corners_m[:, 2].min() <= 0.0:
+                continue
+            region = Region.around(view.project(corners_m)).grown(0, view)
+            if not (region.width and region.height):
+                continue
+            part_view = region.view(view)
+            grey = self._drawn(self._textures[number], part_view, prints)
+            part = rgb[region.part]
+            shown = self._shown(depth_m[region.part], part_view, print_)
+            shade = part[shown].astype(float) / 255.0
+            shade *= (PRINT.ink + (PRINT.paper - PRINT.ink) / 255.0 * grey[shown])[:, None]
+            shade += rng.normal(0.0, PRINT.noise, len(shade))[:, None]
+            part[shown] = np.clip(np.rint(shade), 0, 255).astype(np.uint8)
+
+    def _drawn(self, texture: np.ndarray, view: Intrinsics, prints: list[RigidPose]) -> np.ndarray:
+        """A tag's brightness, 0 to 255, (H, W)."""
+        fine, shift = PRINT.samples, 0.5 * (PRINT.samples - 1)
+        to_fine = np.array([[fine, 0.0, shift], [0.0, fine, shift], [0.0, 0.0, 1.0]])
+        total = np.zeros((view.height, view.width))
+        for pose in prints:
+            columns = np.column_stack([pose.rotation[:, :2], pose.position_m])
+            picture = cv2.warpPerspective(
+                texture,
+                to_fine @ view.matrix @ columns @ self._to_tag,
+                (fine * view.width, fine * view.height),
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=255,
+            )
+            total += cv2.resize(picture, (view.width, view.height), interpolation=cv2.INTER_AREA)
+        return cv2.GaussianBlur(total / len(prints), (0, 0), PRINT.blur_px)
+
+    def _shown(self, depth_m: np.ndarray, view: Intrinsics, print_: RigidPose) -> np.ndarray:
+        """Where the print is the nearest thing, bool (H, W): in its square, in its plane."""
+        v, u = np.mgrid[: view.height, : view.width]
+        rays, normal = view.rays(u, v), print_.rotation[:, 2]
+        with np.errstate(divide="ignore"):
+            plane_m = (normal @ print_.position_m) / (rays @ normal)
+        beside_m = (plane_m[..., None] * rays - print_.position_m) @ print_.rotation[:, :2]
+        inside = np.abs(beside_m).max(axis=-1) <= 0.5 * self._tag.pitch_m
+        return np.asarray(inside & (np.abs(depth_m - plane_m) < PRINT.near_m))
 
 
 #: By the value of the parameter ``feature``.
@@ -105,3 +201,16 @@ CARRIED: dict[str, type[Carried]] = {"ball": CarriedBall, "pose": CarriedTag}
 def _in_view(points_px: np.ndarray, camera: Intrinsics) -> Region | None:
     region = Region.around(points_px).grown(0, camera)
     return region if min(region.width, region.height) >= 8 else None
+
+
+def exposed(
+    pose: RigidPose, linear_m_s: np.ndarray, angular_rad_s: np.ndarray, exposure_s: float
+) -> list[RigidPose]:
+    """Poses during an exposure about its middle, of a body that moves at these speeds, (3,)."""
+    return [
+        RigidPose(
+            pose.position_m + after_s * linear_m_s,
+            cv2.Rodrigues(np.asarray(after_s * angular_rad_s))[0] @ pose.rotation,
+        )
+        for after_s in exposure_s * np.linspace(-0.5, 0.5, 5)
+    ]

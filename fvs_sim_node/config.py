@@ -10,7 +10,7 @@ from fvs_ros.camera import FeatureConfig, Intrinsics
 from fvs_ros.interface import CommandInterface
 from fvs_ros.kinds import KINDS, KindConfig
 from fvs_ros.params import live_parameter, parameter
-from fvs_sim_node.camera import CAMERAS, CameraPose
+from fvs_sim_node.camera import CAMERAS, RigidPose
 from fvs_sim_node.robot import ROBOTS
 
 BALL_RGBA = (0.86, 0.07, 0.06, 1.0)
@@ -98,7 +98,7 @@ class SimConfig(CommandInterface):
     #: A whole multiple of ``joint_state_rate_hz``; 0 takes the least one from 500 on.
     physics_rate_hz: float = 0.0
     #: Camera pose in place of a named one.
-    camera_pose: CameraPose | None = None
+    camera_pose: RigidPose | None = None
     #: Whether ball positions come from rendered images. Otherwise they are the true ones (plus
     #: ``position_noise_m``): several times faster, without occlusion and without full frames. With
     #: 0.2 mm of noise the final error is 0.1 mm smaller than with images.

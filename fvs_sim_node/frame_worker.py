@@ -19,10 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.simulation import Observation, photograph
-from fvs_sim_node.world import Renderer, World
+from fvs_sim_node.simulation import Observation
+from fvs_sim_node.world import World
 
 
 class FrameWorker:
@@ -44,20 +43,21 @@ class FrameWorker:
         theirs.close()
         self._busy = False
 
-    def expose(self, observation: Observation, depth_noise: float) -> bool:
+    def expose(self, observation: Observation, config: SimConfig) -> bool:
         """Request a frame; False if it is skipped, because the worker is still busy."""
         if self._busy:
             return False
-        self._pipe.send((observation, depth_noise))
+        self._pipe.send((observation, config))
         self._busy = True
         return True
 
-    def finished(self) -> Frame | None:
-        """The frame asked for, once it is drawn; overwritten after the next exposure."""
+    def finished(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Colours and depths asked for, once drawn; overwritten after the next exposure."""
         if not self._busy or not self._pipe.poll():
             return None
+        self._pipe.recv()
         self._busy = False
-        return Frame(self._pipe.recv(), *_arrays(self._memory, self._config))
+        return _arrays(self._memory, self._config)
 
     def close(self) -> None:
         """Kill the process: it has nothing to save, and its low priority would delay its end."""
@@ -77,15 +77,15 @@ def _work(pipe: Connection, memory: tuple[Any, Any], config: SimConfig) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(19)  # the lowest priority: images must not slow down the control loop
     world = World(config)
-    renderer = Renderer(world.client, config.intrinsics)
     rng = np.random.default_rng(config.seed)
     rgb, depth_m = _arrays(memory, config)
     with contextlib.suppress(EOFError, OSError):  # the other end was closed
         while True:
-            observation, depth_noise = pipe.recv()
+            observation, config = pipe.recv()
             world.reset(observation.joints_rad)
             world.place_carried()
-            frame = photograph(observation, world, renderer, rng, depth_noise)
-            rgb[:], depth_m[:] = frame.rgb, frame.depth_m
-            pipe.send(frame.stamp_s)
+            rgb[:], depth_m[:] = world.photograph(
+                config, observation.camera, observation.velocities_rad_s, rng
+            )
+            pipe.send(None)
     world.close()

@@ -20,7 +20,6 @@ from fvs_ros import ros, topics
 from fvs_ros.interface import VELOCITY
 from fvs_ros.kinds import KINDS
 from fvs_ros.kinds.pose import Pose
-from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import PARAMETERS, SimNodeConfig
 from fvs_sim_node.frame_worker import FrameWorker
 from fvs_sim_node.robot import robot_description, robot_of
@@ -54,7 +53,7 @@ class SimNode(ros.FvsNode):
         self._late = 0
         self._watched = False
         self._worker: FrameWorker | None = None
-        self._exposed_s = -np.inf  # the newest full frame, simulated time
+        self._exposed_s = -np.inf  # stamp of the newest full frame
         self._announced: bool | None = None
         self._paused_active: bool | None = None  # was the controller, when the pause began?
         self._joint_states = self.publisher(topics.JOINT_STATES)
@@ -156,10 +155,7 @@ class SimNode(ros.FvsNode):
             self._true_jacobian.publish(ros.to_jacobian(jacobian, self._kind))
         self._publish_joints(stamp_s, step)
         self._stepped_s = self.steady_s()
-        # Frames come after the joint states, which other nodes wait for.
-        frame = None if self._worker is None else self._worker.finished()
-        if frame is not None:
-            self._publish_frame(frame)
+        self._publish_drawn_frame()  # after the joint states, which other nodes wait for
 
     # --- outputs ---
 
@@ -177,29 +173,36 @@ class SimNode(ros.FvsNode):
     def _publish_observation(self, observation: Observation) -> None:
         stamp_s = self._base_s + observation.stamp_s
         if self._info.get_subscription_count():
-            self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
+            self._info.publish(
+                ros.to_camera_info(stamp_s, self._frame, self._sim.reported_intrinsics)
+            )
         if observation.z is not None and self._config.publish_ball_position:
             self._feature.publish(ros.to_feature(stamp_s, self._frame, self._kind, observation.z))
         if observation.frame is not None:
-            self._publish_frame(observation.frame)
-            return
-        due = self._watched and self._frame_is_due(observation.stamp_s)
-        noise = self._sim.config.depth_noise
-        if self._worker is not None and due and self._worker.expose(observation, noise):
-            self._exposed_s = observation.stamp_s
+            self._publish_frame(stamp_s, *observation.frame)
+        elif (
+            self._worker is not None
+            and self._watched
+            and self._frame_is_due(stamp_s)
+            and self._worker.expose(observation, self._sim.config)
+        ):
+            self._exposed_s = stamp_s
 
     def _frame_is_due(self, stamp_s: float) -> bool:
-        passed_s = stamp_s - self._exposed_s
         # Half an image's period of slack: exposures come at the image rate, with some jitter.
         slack_s = 0.5 / self._config.simulation.image_rate_hz
-        return not 0.0 <= passed_s < 1.0 / self._config.full_frame_rate_hz - slack_s
+        return stamp_s - self._exposed_s >= 1.0 / self._config.full_frame_rate_hz - slack_s
 
-    def _publish_frame(self, frame: Frame) -> None:
-        stamp_s = self._base_s + frame.stamp_s
+    def _publish_drawn_frame(self) -> None:
+        frame = None if self._worker is None else self._worker.finished()
+        if frame is not None:
+            self._publish_frame(self._exposed_s, *frame)
+
+    def _publish_frame(self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray) -> None:
         if self._color.get_subscription_count():
-            self._color.publish(ros.to_image(stamp_s, self._frame, frame.rgb, "rgb8"))
+            self._color.publish(ros.to_image(stamp_s, self._frame, rgb, "rgb8"))
         if self._depth.get_subscription_count():
-            millimetres = np.round(frame.depth_m * 1e3).clip(0, 65535).astype(np.uint16)
+            millimetres = np.round(depth_m * 1e3).clip(0, 65535).astype(np.uint16)
             self._depth.publish(ros.to_image(stamp_s, self._frame, millimetres, "16UC1"))
 
     def _look_for_subscribers(self) -> None:

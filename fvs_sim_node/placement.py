@@ -8,7 +8,7 @@ import numpy as np
 
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
-from fvs_sim_node.camera import CameraPose
+from fvs_sim_node.camera import RigidPose
 
 
 class Placement:
@@ -55,8 +55,8 @@ class Placement:
         name: str,
         home_rad: np.ndarray,
         intrinsics: Intrinsics,
-        hidden: Callable[[np.ndarray, list[CameraPose]], np.ndarray],
-    ) -> CameraPose:
+        hidden: Callable[[np.ndarray, list[RigidPose]], np.ndarray],
+    ) -> RigidPose:
         """The camera that has the ball in view, all over the box of motion, and least hidden.
 
         ``hidden`` tells for joints, (n,), from which poses the arm hides the ball.
@@ -75,14 +75,14 @@ class Placement:
         # One that is a metre closer may see 2 % less.
         return poses[int(np.argmin(share + 0.02 * np.array(far_m)))]
 
-    def _closest(self, middle_m, azimuth, elevation, balls_m, intrinsics) -> CameraPose:
+    def _closest(self, middle_m, azimuth, elevation, balls_m, intrinsics) -> RigidPose:
         """The closest pose in a direction with all ball positions, (k, 3), m, in view."""
         up, out = np.sin(elevation), np.cos(elevation)
         direction = np.array([np.cos(azimuth) * out, np.sin(azimuth) * out, up])
         size = np.array([intrinsics.width, intrinsics.height])
         for distance_m in np.geomspace(0.4, 4.0, 50):
-            pose = CameraPose.looking(tuple(middle_m + distance_m * direction), tuple(middle_m))
-            seen_m = pose.to_camera(balls_m)
+            pose = RigidPose.looking(tuple(middle_m + distance_m * direction), tuple(middle_m))
+            seen_m = pose.to_own(balls_m)
             # A depth camera sees nothing closer; a tenth of the image stays empty at each edge.
             if seen_m[:, 2].min() > 0.3:
                 shares = intrinsics.project(seen_m) / size

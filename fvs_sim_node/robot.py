@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fvs_ros.paths import find_file, find_mesh
 from fvs_ros.urdf import UrdfJoint, moving_chain, read_joints, read_robot
-from fvs_sim_node.camera import CAMERAS, CameraPose
+from fvs_sim_node.camera import CAMERAS, RigidPose
 
 #: Home of the UR5: the middle of the box that the shipped networks were trained in, and half its
 #: widths, rad, kinematic order.
@@ -36,7 +36,7 @@ class Robot:
     #: Link that carries the ball; empty: ``tool0``, or the last link.
     ball_link: str = ""
     home_rad: tuple[float, ...] = ()
-    cameras: Mapping[str, CameraPose] = field(default_factory=dict)
+    cameras: Mapping[str, RigidPose] = field(default_factory=dict)
 
     @property
     def installed(self) -> bool:

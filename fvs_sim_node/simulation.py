@@ -21,9 +21,9 @@ from fvs_ros.chain import SerialChain
 from fvs_ros.interface import VELOCITY
 from fvs_ros.kinds import Kind, kind_of
 from fvs_sim_node.actuator import Actuator
-from fvs_sim_node.camera import CameraPose, Frame, add_depth_noise
+from fvs_sim_node.camera import RigidPose
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.world import Renderer, World
+from fvs_sim_node.world import World
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,8 @@ class Observation:
     true_position_m: np.ndarray  # of its middle, camera frame, (3,)
     joints_rad: np.ndarray  # at the exposure, (n,)
     velocities_rad_s: np.ndarray  # of the joints then, (n,)
-    camera: CameraPose
-    covered: bool = False  # whether the lens was
-    frame: Frame | None = None  # the image, if full frames are wanted
+    camera: RigidPose
+    frame: tuple[np.ndarray, np.ndarray] | None = None  # colours and depths, if they are wanted
 
 
 @dataclass(frozen=True)
@@ -49,25 +48,6 @@ class SimStep:
     joints_rad: np.ndarray  # as the encoders report them
     joint_velocities_rad_s: np.ndarray
     observations: tuple[Observation, ...]  # those that were released during this period
-
-
-def photograph(
-    observation: Observation,
-    world: World,
-    renderer: Renderer,
-    rng: np.random.Generator,
-    depth_noise: float,
-) -> Frame:
-    """Draw the full image of an exposure; the world must still be in the state of that time."""
-    camera = renderer.intrinsics
-    if observation.covered:
-        shape = (camera.height, camera.width)
-        return Frame(
-            observation.stamp_s, np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
-        )
-    rgb, depth_m = renderer.render(observation.camera)
-    world.paint(rgb, depth_m, camera, observation.camera, observation.velocities_rad_s, rng)
-    return Frame(observation.stamp_s, rgb, add_depth_noise(depth_m, camera.fx, rng, depth_noise))
 
 
 class Simulation:
@@ -85,7 +65,7 @@ class Simulation:
         place of the white noise of the configuration.
     full_frames : bool
         Whether observations include full images; slower.
-    camera : CameraPose
+    camera : RigidPose
         Where the camera is now.
     active : bool
         Whether the velocity controller takes commands.
@@ -99,7 +79,6 @@ class Simulation:
         self.kind = kind_of(config.feature)
         self.intrinsics = config.intrinsics
         self.world = World(config)
-        self._renderer = Renderer(self.world.client, self.intrinsics)
         self._actuator = Actuator(
             config, self.world.lower_rad, self.world.upper_rad, self.world.max_speed_rad_s
         )
@@ -113,7 +92,6 @@ class Simulation:
                 tag=config.tag,
             )
         )
-        self._named: tuple[str, CameraPose] | None = None  # the named camera that is in use
         self.configure(config)
         self.reset()
 
@@ -125,9 +103,7 @@ class Simulation:
         and the other rates are those of the first configuration.
         """
         self.config = self._actuator.config = config
-        if self._named is None or self._named[0] != config.camera:
-            self._named = config.camera, self.world.camera(config.camera, self.intrinsics)
-        home = config.camera_pose or self._named[1]
+        home = config.camera_pose or self.world.camera(config.camera)
         self.camera = home.turned(np.radians(config.camera_rotation_deg))
 
     def close(self) -> None:
@@ -276,11 +252,10 @@ class Simulation:
 
     def look(self) -> Observation:
         """Expose an image now; nothing is released for it."""
-        config = self.config
-        if config.rendered:
+        if self.config.rendered or self.full_frames:
             self.world.place_carried()
         z, visible_fraction = self._measured()
-        observation = Observation(
+        return Observation(
             self.time_s,
             z,
             visible_fraction,
@@ -288,14 +263,13 @@ class Simulation:
             self.joints_rad,
             self._velocities,
             self.camera,
-            config.camera_covered,
+            self._photograph(self._frame_rng) if self.full_frames else None,
         )
-        if not self.full_frames:
-            return observation
-        frame = photograph(
-            observation, self.world, self._renderer, self._frame_rng, config.depth_noise
-        )
-        return replace(observation, frame=frame)
+
+    def _photograph(
+        self, rng: np.random.Generator, region: Region | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        return self.world.photograph(self.config, self.camera, self._velocities, rng, region)
 
     def _measured(self) -> tuple[np.ndarray | None, float]:
         """What is reported of ball or tag now, None if it is not seen, and its visible fraction."""
@@ -311,21 +285,14 @@ class Simulation:
         else:
             # As from a camera that sends only the region around the body: drawing takes long.
             region = body.grown(body.width // 8 + 8, camera)
-            view = CameraModel(region.view(self._reported_intrinsics))
-            detection = self._detector.detect(self.time_s, *self._draw(region), view).detection
+            view = CameraModel(region.view(self.reported_intrinsics))
+            part = self._photograph(self._noise_rng, region)
+            detection = self._detector.detect(self.time_s, *part, view).detection
             if detection is None:
                 return None, 0.0
             position_m, rotation = detection.position_m, detection.rotation
             fraction = detection.visible_fraction
         return self._blurred(self.kind.of_body(position_m, rotation)), fraction
-
-    def _draw(self, region: Region) -> tuple[np.ndarray, np.ndarray]:
-        """Colours and depths of a part of the image."""
-        config, rng, camera = self.config, self._noise_rng, self.intrinsics
-        rgb, depth_m = self._renderer.render(self.camera, region)
-        self.world.paint(rgb, depth_m, region.view(camera), self.camera, self._velocities, rng)
-        depth_m = add_depth_noise(depth_m, camera.fx, rng, config.depth_noise)
-        return rgb, depth_m * np.float32(1.0 + config.depth_error)
 
     def _blurred(self, z: np.ndarray) -> np.ndarray:
         """The measurement with further noise, of a rotation along its arc."""
@@ -340,8 +307,8 @@ class Simulation:
         return self.kind.retract(z, noise_m)
 
     @property
-    def _reported_intrinsics(self) -> Intrinsics:
-        """The intrinsics that the detection uses, with ``focal_error``."""
+    def reported_intrinsics(self) -> Intrinsics:
+        """The intrinsics that ``camera_info`` and the detection have, with ``focal_error``."""
         true, scale = self.intrinsics, 1.0 + self.config.focal_error
         return replace(true, fx=scale * true.fx, fy=scale * true.fy)
 
@@ -356,7 +323,7 @@ class Simulation:
         x, y, z = (1.0 + self.config.depth_error) * position_m
         return np.array([x / focal, y / focal, z])
 
-    def true_pose(self) -> CameraPose:
+    def true_pose(self) -> RigidPose:
         """Ball or tag as the camera sees it now. For evaluation only."""
         return self.world.carried_pose(self.camera)
 

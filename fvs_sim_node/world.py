@@ -20,13 +20,12 @@ from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind, kind_of
 from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.urdf import UrdfJoint
-from fvs_sim_node.camera import CameraPose
-from fvs_sim_node.carried import CARRIED
+from fvs_sim_node.camera import RigidPose, add_depth_noise
+from fvs_sim_node.carried import CARRIED, exposed
 from fvs_sim_node.config import SceneObject, SimConfig
 from fvs_sim_node.placement import Placement
 from fvs_sim_node.robot import moving_joints, robot_description, robot_of
 from fvs_sim_node.shapes import BulletClient, box, pybullet, sphere
-from fvs_sim_node.tag import exposed
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 _NEAR_M, _FAR_M = 0.25, 4.0
@@ -57,11 +56,12 @@ class World:
         self._get_states = self.client.getJointStates
         self.step = self.client.stepSimulation
         self._offset_m, self._ball_radius_m = config.ball_offset_m, config.ball_radius_m
-        self._exposure_s = config.exposure_s
+        self.renderer = Renderer(self.client, config.intrinsics)
         try:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
             self.client.setGravity(0.0, 0.0, 0.0)
             self._known = robot_of(config.robot, config.urdf_path, config.ball_link)
+            self._cameras = dict(self._known.cameras)
             link, joints = moving_joints(self._known)
             self._robot = self._load_robot()
             self.root_link = self.client.getBodyInfo(self._robot)[0].decode()
@@ -152,7 +152,7 @@ class World:
     def _facing(self, config: SimConfig) -> np.ndarray:
         """The rotation in its link of a body whose z axis points to the camera at home."""
         home_rad = np.array(config.initial_joints_rad or self.home_rad)
-        camera = config.camera_pose or self.camera(config.camera, config.intrinsics)
+        camera = config.camera_pose or self.camera(config.camera)
         self.reset(home_rad)
         out = camera.position_m - self.carried_position()
         out /= np.linalg.norm(out)
@@ -210,27 +210,37 @@ class World:
         state = self._link_state()
         return np.array(state[4]) + self._offset_m * _matrix(state[5])[:, 2]
 
-    def carried_pose(self, camera: CameraPose) -> CameraPose:
+    def carried_pose(self, camera: RigidPose) -> RigidPose:
         """Ball or tag as a camera sees it; the tag's x to the right of the print, z out of it."""
         rotation = camera.rotation.T @ self._link_rotation() @ self._mount
-        return CameraPose(camera.to_camera(self.carried_position()), rotation)
+        return RigidPose(camera.to_own(self.carried_position()), rotation)
 
-    def paint(
+    def photograph(
         self,
-        rgb: np.ndarray,
-        depth_m: np.ndarray,
-        view: Intrinsics,
-        camera: CameraPose,
+        config: SimConfig,
+        camera: RigidPose,
         velocities_rad_s: np.ndarray,
         rng: np.random.Generator,
-    ) -> None:
-        """Paint tags into a part of a camera's image, blurred by motion."""
+        region: Region | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What a camera with these errors sends of its image, or of a part of it.
+
+        As :meth:`Renderer.render`; ``velocities_rad_s`` of the joints blur a tag, (n,).
+        """
+        intrinsics = self.renderer.intrinsics
+        view = region.view(intrinsics) if region else intrinsics
+        if config.camera_covered:
+            shape = view.height, view.width
+            return np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
+        rgb, depth_m = self.renderer.render(camera, region)
         jacobians = self._jacobians(self.joint_states()[0])
         linear, angular = (
             camera.rotation.T @ (jacobian @ velocities_rad_s) for jacobian in jacobians
         )
-        poses = exposed(self.carried_pose(camera), linear, angular, self._exposure_s)
+        poses = exposed(self.carried_pose(camera), linear, angular, config.exposure_s)
         self.carried.paint(rgb, depth_m, view, poses, rng)
+        depth_m = add_depth_noise(depth_m, intrinsics.fx, rng, config.depth_noise)
+        return rgb, depth_m * np.float32(1.0 + config.depth_error)
 
     def _jacobians(self, joints_rad: np.ndarray) -> list[np.ndarray]:
         """Of the ball's position and of the link's rotation, each of shape (3, n)."""
@@ -270,17 +280,19 @@ class World:
         known = self._known.home_rad
         return np.array(known) if known else self._placement.home()
 
-    def camera(self, name: str, intrinsics: Intrinsics) -> CameraPose:
-        """A named camera's pose; the arm may have moved afterwards."""
-        if name in self._known.cameras:
-            return self._known.cameras[name]
-        self._collide(True)
-        try:
-            return self._placement.camera(name, self.home_rad, intrinsics, self._hidden)
-        finally:
+    def camera(self, name: str) -> RigidPose:
+        """A named camera's pose."""
+        if name not in self._cameras:
+            joints_rad, _ = self.joint_states()
+            self._collide(True)
+            self._cameras[name] = self._placement.camera(
+                name, self.home_rad, self.renderer.intrinsics, self._hidden
+            )
             self._collide(False)
+            self.reset(joints_rad)
+        return self._cameras[name]
 
-    def _hidden(self, joints_rad: np.ndarray, poses: list[CameraPose]) -> np.ndarray:
+    def _hidden(self, joints_rad: np.ndarray, poses: list[RigidPose]) -> np.ndarray:
         """Shares of the ball that the arm hides from poses at some joints, by five rays each."""
         self.reset(joints_rad)
         self.client.performCollisionDetection()
@@ -321,7 +333,7 @@ class Renderer:
         self._wall = opaque.view(np.uint32)
 
     def render(
-        self, pose: CameraPose, region: Region | None = None
+        self, pose: RigidPose, region: Region | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Draw the image, or a part of it.
 
@@ -339,7 +351,7 @@ class Renderer:
         np.copyto(colours.view(np.uint32)[..., 0], wall, where=nothing)
         return cv2.cvtColor(colours, cv2.COLOR_RGBA2RGB), depth
 
-    def _draw(self, pose: CameraPose, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+    def _draw(self, pose: RigidPose, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
         """Colours (H, W, 4) and the depth buffer (H, W), 1 for the background."""
         _, _, rgba, buffer, _ = self._client.getCameraImage(
             camera.width,
@@ -367,7 +379,7 @@ def _matrix(quaternion_xyzw: Any) -> np.ndarray:
     return np.reshape(pybullet.getMatrixFromQuaternion(quaternion_xyzw), (3, 3))
 
 
-def _view_matrix(pose: CameraPose) -> list[float]:
+def _view_matrix(pose: RigidPose) -> list[float]:
     rotation = _OPTICAL_TO_GL @ pose.rotation.T
     view = np.eye(4)
     view[:3, :3] = rotation

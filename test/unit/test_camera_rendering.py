@@ -6,7 +6,7 @@ from drawn_balls import RADIUS_M, VGA, draw, red
 
 from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
-from fvs_sim_node.camera import CAMERAS, CameraPose
+from fvs_sim_node.camera import CAMERAS, RigidPose
 from fvs_sim_node.config import SceneObject, SimConfig
 from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.world import Renderer, World
@@ -40,7 +40,7 @@ def test_projection_agrees_to_a_tenth_of_a_pixel(lone_ball):
         centre = rng.uniform(0.5, 1.6) * camera.rays(u, v)
         rotation = np.linalg.qr(rng.standard_normal((3, 3)))[0]
         rotation *= np.linalg.det(rotation)
-        pose = CameraPose(np.array([5.0, 0.0, 1.0]) - rotation @ centre, rotation)
+        pose = RigidPose(np.array([5.0, 0.0, 1.0]) - rotation @ centre, rotation)
         ideal_rgb, ideal_depth = draw([(centre, RADIUS_M)], camera)
         rgb, depth = renderer.render(pose)
         ideal, drawn = red(ideal_rgb), red(rgb) & (depth > 0.0)

@@ -120,6 +120,25 @@ def test_a_ball_out_of_view_or_behind_a_hand_is_lost_and_found_again(make, rende
         simulation.configure(before)
 
 
+def test_images_and_camera_info_have_the_cameras_errors(make):
+    def depths_m(**errors):
+        simulation = make(depth_noise=0.0, **errors)
+        simulation.full_frames = True
+        return simulation.look().frame[1], simulation.reported_intrinsics.fx
+
+    (true_m, fx), (wrong_m, wrong_fx) = depths_m(), depths_m(depth_error=0.02, focal_error=-0.01)
+    np.testing.assert_allclose(wrong_m, 1.02 * true_m, rtol=1e-6)
+    assert wrong_fx == pytest.approx(0.99 * fx)
+
+
+def test_another_camera_moves_no_arm_that_has_no_named_poses(make):
+    simulation = make(robot="scara", rendered=False)
+    run(simulation, 25, [0.3, -0.2, 0.0, 0.4])
+    before, _ = simulation.world.joint_states()
+    change(simulation, camera="overhead")
+    np.testing.assert_array_equal(simulation.world.joint_states()[0], before)
+
+
 def trace(simulation):
     steps = drive_waves(simulation, 60)
     joints = np.array([s.joints_rad for s in steps])
