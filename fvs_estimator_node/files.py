@@ -7,11 +7,12 @@ import json
 import os
 import sys
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -39,8 +40,6 @@ _MODEL: dict[str, tuple[int | str, ...]] = {
 }
 _NETWORKS = ("centres", "widths", "weights")
 _CHAIN = {f"chain_{name}": name for name in CHAIN_SHAPES}
-#: Fields by the names that they had in files written before there were poses.
-_BEFORE = {"ball_m": "z", "ball_samples_m": "z_samples", "chain_ball_m": "chain_feature_m"}
 
 
 class FileError(ValueError):
@@ -249,16 +248,13 @@ def load_data_set(
     FileError
         If anything is not as expected; the text names the file, the fault and what was expected.
     """
-
-    def build(content: _Content) -> DataSet:
+    with _content(path, "fvs_dataset", joint_names, expected) as content:
         return DataSet(
             **{name: content[name] for name in _DATA_SET},
             **content.common,
             provenance=content.json("provenance"),
             still="still" in content and bool(content["still"].any()),
         )
-
-    return _read(path, "fvs_dataset", joint_names, expected, build)
 
 
 def load_model(
@@ -267,8 +263,7 @@ def load_model(
     expected: KindConfig | None = None,
 ) -> TrainedModel:
     """Read and check a model; parameters and errors are those of :func:`load_data_set`."""
-
-    def build(content: _Content) -> TrainedModel:
+    with _content(path, "fvs_rbf_model", joint_names, expected) as content:
         chain = None
         if any(name in content for name in _CHAIN):
             chain = SerialChain(**{name: content[stored] for stored, name in _CHAIN.items()})
@@ -280,8 +275,6 @@ def load_model(
             provenance=content.json("provenance"),
             chain=chain,
         )
-
-    return _read(path, "fvs_rbf_model", joint_names, expected, build)
 
 
 def _write(path: str | os.PathLike[str], kind: str, fields: Mapping[str, Any]) -> None:
@@ -303,21 +296,19 @@ def _write(path: str | os.PathLike[str], kind: str, fields: Mapping[str, Any]) -
         raise
 
 
-_T = TypeVar("_T", DataSet, TrainedModel)
-
-
-def _read(
+@contextmanager
+def _content(
     path: str | os.PathLike[str],
     kind: str,
     joint_names: Sequence[str] | None,
     expected: KindConfig | None,
-    build: Callable[[_Content], _T],
-) -> _T:
-    """Check a file's kind, joints and frame, and build an object from its content."""
+) -> Iterator[_Content]:
+    """A file's content, its kind, joints and frame checked; what goes wrong is a FileError."""
     try:
         content = _Content(_arrays(Path(path)))
         content.check(kind, joint_names, expected)
-        return build(content)
+        yield content
+        return
     except FileNotFoundError:
         words = "does not exist"
     except OSError as error:
@@ -334,9 +325,12 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
             members = archive.infolist()
             total = sum(member.file_size for member in members)
             if total <= _MAX_BYTES:
-                arrays = {m.filename: _array(m.filename, archive.read(m)) for m in members}
-                names = (name.removesuffix(".npy") for name in arrays)
-                return {_BEFORE.get(n, n): a for n, a in zip(names, arrays.values(), strict=True)}
+                return {
+                    member.filename.removesuffix(".npy"): _array(
+                        member.filename, archive.read(member)
+                    )
+                    for member in members
+                }
     except OSError:
         raise
     except Exception as error:  # those of zipfile, zlib, lzma and numpy have no common base

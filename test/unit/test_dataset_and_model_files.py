@@ -96,8 +96,6 @@ def test_a_data_set_comes_back_as_it_was(tmp_path):
     back = load_data_set(tmp_path / "d.npz", joint_names=("a", "b", "c"))
     for name in ("stamps_s", "joints_rad", "z", "segment"):
         np.testing.assert_array_equal(getattr(back, name), getattr(data, name))
-    rewrite(tmp_path / "d.npz", z=None, ball_m=data.z)  # as it was called before
-    np.testing.assert_array_equal(load_data_set(tmp_path / "d.npz").z, data.z)
     assert (back.joint_names, back.feature_frame) == (("a", "b", "c"), "lens")
     assert back.provenance == data.provenance
     assert [run.stop for run in back.runs()] == [4, 8]
