@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.params import Parameters
 
-#: What an estimator is made from.
-NETWORKS, CHAIN = "a trained model", "a fitted chain"
+#: What an estimator is made from: a part of a :class:`~fvs_estimator_node.files.TrainedModel`.
+NETWORKS, CHAIN = "model", "chain"
 
 
 @dataclass(frozen=True)
@@ -48,21 +48,6 @@ class MotionStep:
     sliding_variable: np.ndarray | float = 0.0
     z: np.ndarray | None = None
 
-    @property
-    def start_stamp_s(self) -> float:
-        """Exposure time of the first image, s."""
-        return self.stamp_s - self.dt_s
-
-    @property
-    def joint_velocity(self) -> np.ndarray:
-        """Mean joint velocity, rad/s, shape (n,)."""
-        return self.d_joints_rad / self.dt_s
-
-    @property
-    def feature_velocity(self) -> np.ndarray:
-        """Mean velocity of the feature, m/s, shape (d,)."""
-        return self.d_feature_m / self.dt_s
-
 
 class Estimator(ABC):
     """Estimates the d x n Jacobian of the feature with respect to the joints.
@@ -82,7 +67,7 @@ class Estimator(ABC):
 
     #: Whether :meth:`update` and :meth:`observe` can change anything.
     learns: ClassVar[bool] = True
-    #: What its first argument is, if it needs one: one of the constants above.
+    #: What its first argument is, if it takes one: one of the constants above.
     made_from: ClassVar[str] = ""
     #: Its parameters; a node declares them with the name of their group before each.
     config_type: ClassVar[type[Parameters]] = Parameters
@@ -91,6 +76,11 @@ class Estimator(ABC):
     def __init__(self, kind: Kind | None = None) -> None:
         self.kind = kind or Ball()
         self.updates = self.refused = 0
+
+    @classmethod
+    def needs(cls, config: Any) -> str:
+        """What it cannot be made without, with these parameters; empty for nothing."""
+        return cls.made_from
 
     @property
     def problem(self) -> str:
@@ -141,8 +131,8 @@ class Estimator(ABC):
 class OracleEstimator(Estimator):
     """The true Jacobian of the simulator: the reference for all estimates.
 
-    ``true_jacobian`` takes joints, rad, (n,), to the true Jacobian, m/rad, (d, n). Without it the
-    Jacobian is the newest of :meth:`set_true_jacobian`, at any joints.
+    ``true_jacobian`` takes joints, rad, (n,), to the true Jacobian, m/rad, (d, n); None while it is
+    not known.
     """
 
     learns = False
@@ -154,29 +144,14 @@ class OracleEstimator(Estimator):
         kind: Kind | None = None,
     ) -> None:
         super().__init__(kind)
-        self._true_jacobian = true_jacobian
-        self._published: np.ndarray | None = None
+        self.true_jacobian = true_jacobian
 
     @property
     def problem(self) -> str:
         """Why there is no estimate; empty if there is one."""
-        if self._true_jacobian is not None or self._published is not None:
-            return ""
-        return "no true Jacobian yet; only a simulator publishes it"
-
-    def set_true_jacobian(self, jacobian: np.ndarray) -> None:
-        """Take the present true Jacobian, m/rad, shape (d, n), finite."""
-        self._published = np.array(jacobian, dtype=float)
+        return "" if self.true_jacobian else "no true Jacobian yet; only a simulator publishes it"
 
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
-        """The true Jacobian, m/rad, shape (d, n); ValueError if it is not known."""
-        if self._true_jacobian is not None:
-            return np.array(self._true_jacobian(joints_rad), dtype=float)
-        if self._published is None:
-            raise ValueError(self.problem)
-        return self._published.copy()
-
-    def reset(self) -> None:
-        """Forget what was published."""
-        super().reset()
-        self._published = None
+        """The true Jacobian, m/rad, shape (d, n)."""
+        assert self.true_jacobian is not None
+        return np.array(self.true_jacobian(joints_rad), dtype=float)

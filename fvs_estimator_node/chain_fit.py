@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -201,8 +202,7 @@ class _Optimum(NamedTuple):
     cost: float
 
 
-def _cost(optimum: _Optimum) -> float:
-    return optimum.cost
+_cost = attrgetter("cost")
 
 
 class _Fitting:

@@ -19,7 +19,7 @@ from fvs_ros.following import Following
 from fvs_ros.interface import CommandInterface
 from fvs_ros.kinds import KindConfig
 from fvs_ros.limiter import CommandLimiter
-from fvs_ros.limits import JointLimits, tick_s
+from fvs_ros.limits import tick_s
 from fvs_ros.params import parameter
 from fvs_ros.timeline import Sample, Timeline, repeats
 
@@ -73,11 +73,12 @@ _OVER = (State.DONE, State.FAILED)
 class CollectionRun:
     """Moves the joints and records what is seen.
 
-    ``reason`` explains the ``state`` in words, ``samples`` holds the recording.
+    ``config`` holds the limits in force, ``reason`` explains the ``state`` in words, ``samples``
+    is the recording.
     """
 
     def __init__(self, config: CollectorConfig) -> None:
-        self._config, self._names = config, config.joint_names
+        self.config, self._names = config, config.joint_names
         self._unseen = f"no {config.kind.topics.tool.name}"
         self._motion: RandomMotion | None = None
         self._timeline = Timeline()
@@ -96,17 +97,12 @@ class CollectionRun:
     @property
     def progress(self) -> float:
         """Share of the motion that is done."""
-        return min(1.0, self._moved_s / self._config.duration_s)
+        return min(1.0, self._moved_s / self.config.duration_s)
 
     @property
     def moves(self) -> bool:
         """Whether the arm is under way."""
         return self._motion is not None and self.state not in _OVER
-
-    @property
-    def limits(self) -> JointLimits:
-        """The limits in force."""
-        return self._config
 
     @property
     def ended(self) -> bool:
@@ -119,7 +115,7 @@ class CollectionRun:
             self._first_s = now_s if self._joints is None else self._first_s
             self._joints, self._joints_s = joints_rad, now_s
             if self.moves:
-                unit = self._config.unit
+                unit = self.config.unit
                 command = self._speed_scaling * self._limiter.velocity_rad_s / unit
                 self._following.add(now_s, stamp_s, command, joints_rad / unit)
             else:
@@ -134,8 +130,8 @@ class CollectionRun:
 
     def configure(self, config: CollectorConfig) -> None:
         """Take limits that are known only now; a motion begins anew within them."""
-        if config != self._config:
-            self._config, self._motion, self._moved_s = config, None, 0.0
+        if config != self.config:
+            self.config, self._motion, self._moved_s = config, None, 0.0
             self._limiter.limits = config
             self._following.restart()
 
@@ -160,7 +156,7 @@ class CollectionRun:
     def interrupt(self) -> np.ndarray:
         """End the run: the velocity, rad/s, (n,), from which the arm has to come to rest."""
         self.fail("interrupted")
-        if not self._config.max_joint_jerk_rad_s3:
+        if not self.config.max_joint_jerk_rad_s3:
             self._limiter.stop()
         return self._limiter.velocity_rad_s
 
@@ -192,7 +188,7 @@ class CollectionRun:
         joints = self._joints
         others = f"{self._others} commands the arm as well; stop it first" if self._others else ""
         unknown = ""
-        if not self._config.ranges_known and now_s - self._first_s < _DESCRIPTION_S:
+        if not self.config.ranges_known and now_s - self._first_s < _DESCRIPTION_S:
             unknown = "no robot_description yet, which may have the joints' ranges"
         before = (lost or others or unknown) if self._motion is None else ""
         if late or before or joints is None:
@@ -200,8 +196,8 @@ class CollectionRun:
             return None
         if self._motion is None:
             try:
-                rng = np.random.default_rng(self._config.seed)
-                self._motion = RandomMotion(joints, self._config, rng)
+                rng = np.random.default_rng(self.config.seed)
+                self._motion = RandomMotion(joints, self.config, rng)
             except ValueError as error:
                 self.fail(str(error))
                 return None
@@ -211,7 +207,7 @@ class CollectionRun:
         if self.state is State.FAILED:
             return None
         self._moved_s += dt_s
-        over_s = self._moved_s - self._config.duration_s
+        over_s = self._moved_s - self.config.duration_s
         if over_s >= 0.0:
             self._trouble_s = None
             if motion.done(self._moved_s, joints) or over_s > GIVE_UP_S:
@@ -229,10 +225,10 @@ class CollectionRun:
         return motion.command(self._moved_s, joints) if moves else None
 
     def _watch_place(self, joints: np.ndarray, box_rad: np.ndarray) -> None:
-        low, high = self._config.allowed_rad(box_rad)
+        low, high = self.config.allowed_rad(box_rad)
         joint = int(np.maximum(low - joints, joints - high).argmax())
         if not low[joint] <= joints[joint] <= high[joint]:
-            unit = self._config.length_unit(joint)
+            unit = self.config.length_unit(joint)
             self.fail(
                 f"{self._names[joint]} left its box or its range: it is at {joints[joint]:.3g} "
                 f"{unit}, expected {low[joint]:.3g} to {high[joint]:.3g} {unit}; check that no "
@@ -247,10 +243,10 @@ class CollectionRun:
         if fault.moved_rad * np.sign(fault.commanded_rad) < -_AGAINST_RAD:
             self.fail(f"{name} moves against its command; check joint_names and the joint's sign")
         else:
-            made = self._config.unit[fault.joint] * np.array(fault[1:])
+            made = self.config.unit[fault.joint] * np.array(fault[1:])
             self.fail(
                 f"the arm does not follow: {name} was commanded {made[0]:.2g} "
-                f"{self._config.length_unit(fault.joint)} and moved {made[1]:.2g}; check that its "
+                f"{self.config.length_unit(fault.joint)} and moved {made[1]:.2g}; check that its "
                 "controller is active, the robot program runs and no protective stop is on"
             )
 

@@ -102,7 +102,7 @@ class CollectorNode(ros.FvsNode):
     def _tick(self, now_s: float, dt_s: float) -> np.ndarray:
         run = self._run
         velocity = run.tick(now_s, dt_s)
-        self._commands.send(velocity, self._joints, dt_s, run.limits, run.moves)
+        self._commands.send(velocity, self._joints, dt_s, run.config, run.moves)
         if run.ended and self.exit_code is None:
             self._conclude()
         return velocity

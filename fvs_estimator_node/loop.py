@@ -9,16 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.base import Estimator
-from fvs_estimator_node.steps import StepPairing
+from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_ros.filter import Image
 from fvs_ros.track import Track
+
+#: Least motion of the fastest joint in a step, rad: it moves the ball by some millimetres, more
+#: than the noise of its position. Longest step, s: slow arms drift.
+_MIN_STEP_RAD, _MAX_STEP_S = 0.01, 0.5
+#: Largest age of an input, s; an older sliding variable counts as zero.
+FRESH_S = 0.2
 
 
 class EstimationLoop:
     """Joint states and images in; Jacobian, chain and status out.
 
-    Outliers are left out, as in the controller.
+    Outliers are left out, as in the controller. A step ends at the first image whose joints have
+    moved enough since the step's first image, and the next one begins there. After a timeout it
+    begins at the newest image.
 
     Parameters
     ----------
@@ -29,8 +36,6 @@ class EstimationLoop:
     ----------
     track : ~fvs_ros.track.Track
         Pairs images with joints, and judges them.
-    pairing : StepPairing
-        Builds steps from the images.
     learns : bool
         Off, the estimator learns nothing.
     steps : int
@@ -39,17 +44,21 @@ class EstimationLoop:
 
     def __init__(self, estimator: Estimator) -> None:
         self.estimator, self.kind = estimator, estimator.kind
-        self.track, self.pairing = Track(self.kind), StepPairing()
+        self.track = Track(self.kind)
         self.learns = True
-        self.steps = 0
-        self._jacobian: np.ndarray | None = None  # the newest
+        self._forget()
 
     def reset(self) -> None:
         """Forget what was learned online, and all inputs."""
         self.estimator.reset()
         self.track.reset()
-        self.pairing.reset()
-        self.steps, self._jacobian = 0, None
+        self._forget()
+
+    def _forget(self) -> None:
+        self.steps = 0
+        self._jacobian: np.ndarray | None = None  # the newest
+        self._anchor: Image | None = None  # where the present step began
+        self._sliding: tuple[float, np.ndarray] | None = None
 
     # --- inputs ---
 
@@ -67,7 +76,8 @@ class EstimationLoop:
 
     def add_sliding_variable(self, stamp_s: float, sliding_m: np.ndarray) -> None:
         """Take the controller's sliding variable, m, (d,); the newest goes into coming steps."""
-        self.pairing.add_sliding_variable(stamp_s, sliding_m)
+        if np.all(np.isfinite(sliding_m)):
+            self._sliding = (stamp_s, sliding_m)
 
     # --- outputs ---
 
@@ -105,8 +115,35 @@ class EstimationLoop:
         if not (self.learns and self.estimator.learns):
             return
         for image in images:
-            step = self.pairing.step(image)
+            step = self._step(image)
             self.estimator.observe(image.joints_rad, image.z, self.track.filter.noise_m)
             if step is not None:
                 self.estimator.update(step)
                 self.steps += 1
+
+    def _step(self, image: Image) -> MotionStep | None:
+        """The step that an image completes, if it does."""
+        anchor = self._anchor
+        if (
+            anchor is None
+            or image.run != anchor.run
+            or image.stamp_s - anchor.stamp_s > _MAX_STEP_S
+        ):
+            self._anchor = image
+            return None
+        d_joints = image.joints_rad - anchor.joints_rad
+        if np.abs(d_joints).max() < _MIN_STEP_RAD:
+            return None
+        self._anchor = image
+        sliding: np.ndarray | float = 0.0
+        if self._sliding and abs(image.stamp_s - self._sliding[0]) <= FRESH_S:
+            sliding = self._sliding[1]
+        return MotionStep(
+            stamp_s=image.stamp_s,
+            dt_s=image.stamp_s - anchor.stamp_s,
+            joints_rad=anchor.joints_rad + 0.5 * d_joints,
+            d_joints_rad=d_joints,
+            d_feature_m=image.seen_m - anchor.seen_m,
+            z=image.z,
+            sliding_variable=sliding,
+        )

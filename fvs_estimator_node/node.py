@@ -8,6 +8,7 @@ stop.listen()
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from fvs_estimator_node.base import Estimator, OracleEstimator
-from fvs_estimator_node.files import load_model
-from fvs_estimator_node.loop import EstimationLoop
-from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator, needs_model
-from fvs_estimator_node.steps import FRESH_S
+from fvs_estimator_node.base import OracleEstimator
+from fvs_estimator_node.files import TrainedModel, load_model
+from fvs_estimator_node.loop import FRESH_S, EstimationLoop
+from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.paths import find_file
@@ -64,7 +64,8 @@ class EstimatorNode(ros.FvsNode):
     def _use(self, v: dict[str, Any]) -> None:
         """Start the method that the values name, from the trained model alone."""
         config = EstimatorConfig.from_values(v)
-        self._loop = EstimationLoop(self._make_estimator(config, v))
+        load = partial(self._load_model, config, v["joint_names"])
+        self._loop = EstimationLoop(create_estimator(config.method, v, load, self._kind))
         self._config = config
         if isinstance(self._loop.estimator, OracleEstimator) and not self._hears_truth:
             self._hears_truth = True
@@ -81,18 +82,16 @@ class EstimatorNode(ros.FvsNode):
             )
         self._use(values)
 
-    def _make_estimator(self, config: EstimatorConfig, v: dict[str, Any]) -> Estimator:
-        if not needs_model(config.method, v):
-            return create_estimator(config.method, None, v, kind=self._kind)
+    def _load_model(self, config: EstimatorConfig, joint_names: list[str]) -> TrainedModel:
         try:
             path = find_file(config.model_path or self._kind.model)
         except FileNotFoundError as error:
             raise ValueError(f"model_path: {error}; train one with fvs_train") from error
-        trained = load_model(path, v["joint_names"], config)
+        trained = load_model(path, joint_names, config)
         self._joint_map.middle_rad = trained.joint_box_rad.mean(axis=0)
         for note in trained.notes:
             self.tell(ros.WARN, f"{path.name}: {note}")
-        return create_estimator(config.method, trained.model, v, trained.chain, self._kind)
+        return trained
 
     # --- inputs ---
 
@@ -138,7 +137,8 @@ class EstimatorNode(ros.FvsNode):
         if not isinstance(estimator, OracleEstimator):
             return  # no longer
         try:
-            estimator.set_true_jacobian(ros.from_jacobian(message, count, self._kind))
+            truth = ros.from_jacobian(message, count, self._kind)
+            estimator.true_jacobian = lambda joints_rad: truth
         except ros.MessageError as error:
             self._complain(f"{topics.TRUE_JACOBIAN.name}: {error}")
 
@@ -165,7 +165,7 @@ class EstimatorNode(ros.FvsNode):
         if not isinstance(self._loop.estimator, OracleEstimator):
             return self._loop.problem
         if self.monitor(topics.TRUE_JACOBIAN.name).age_s(self.now_s()) > FRESH_S:
-            self._loop.estimator.reset()  # the last true Jacobian is outdated
+            self._loop.estimator.true_jacobian = None
         problem = self._loop.problem
         return problem and f"waiting for {topics.TRUE_JACOBIAN.name}: {problem}"
 

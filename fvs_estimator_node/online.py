@@ -17,18 +17,16 @@ from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_ros.kinds import Kind
 from fvs_ros.params import Parameters, parameter
 
-FROM_MODEL, FROM_ZERO = "model", "zero"
-
 
 @dataclass(frozen=True)
 class OnlineConfig(Parameters):
     """Settings of the online estimators."""
 
     initial: str = parameter(
-        FROM_MODEL,
+        "model",
         "Where the Jacobian starts: the trained networks' at the first joints, or zero; "
         "from zero there is no estimate until something else has moved the arm.",
-        choices=(FROM_MODEL, FROM_ZERO),
+        choices=("model", "zero"),
     )
     initial_deviation_m_rad: float = parameter(
         0.1,
@@ -75,8 +73,7 @@ class OnlineEstimator(Estimator):
     Parameters
     ----------
     model : RbfModel, optional
-        The trained networks, where the Jacobian starts; where ``config.initial`` is ``zero``, only
-        their features count. Without them the feature is a ball's position.
+        The trained networks, where the Jacobian starts; without them it starts from zero.
     config : OnlineConfig, optional
         Settings.
     """
@@ -96,11 +93,15 @@ class OnlineEstimator(Estimator):
         self._model = FrozenRbfEstimator(model, None, self.kind) if model is not None else None
         self.reset()
 
+    @classmethod
+    def needs(cls, config: OnlineConfig) -> str:
+        """Networks, unless it starts from zero."""
+        return cls.made_from if config.initial == "model" else ""
+
     def reset(self) -> None:
         """Forget what was learned, the initial Jacobian and the counts."""
         super().reset()
         self._jacobian: np.ndarray | None = None
-        self._initial: np.ndarray | None = None
         self.covariance = np.zeros((0, 0))  # of the estimate, (m/rad)^2; empty before
 
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
@@ -112,11 +113,9 @@ class OnlineEstimator(Estimator):
             start = np.zeros((self.kind.size, len(joints_rad)))
             if self._model is not None:
                 start = self._model.jacobian(joints_rad, z)
-            if self.config.initial == FROM_ZERO:
-                start = np.zeros_like(start)
             if not np.all(np.isfinite(start)):
                 return start
-            self._jacobian = self._initial = start
+            self._jacobian = start
             self.covariance = self.config.initial_variance * np.eye(self._entries(*start.shape))
         return self._jacobian
 
@@ -159,22 +158,15 @@ class OnlineEstimator(Estimator):
     @property
     def problem(self) -> str:
         """Why there is no estimate yet: a zero Jacobian that has seen no motion is none."""
-        from_zero = self._model is None or self.config.initial == FROM_ZERO
-        if from_zero and self.updates == 0:
+        if self._model is None and self.updates == 0:
             return "it starts from zero and has seen no motion; move the arm by other means"
         return ""
 
     def status_values(self) -> dict[str, float]:
-        """Counts, the change since the start, and the deviation of an entry (rms), m/rad."""
-        values = super().status_values()
-        values["jacobian_change_m_rad"] = 0.0
-        if self._jacobian is not None and self._initial is not None:
-            change = float(np.linalg.norm(self._jacobian - self._initial))
-            values["jacobian_change_m_rad"] = change
+        """Counts, and the deviation of an entry (rms), m/rad."""
         variances = np.diag(self.covariance)
         known = variances.mean() if variances.size else self.config.initial_variance
-        values["entry_deviation_m_rad"] = math.sqrt(known)
-        return values
+        return {**super().status_values(), "entry_deviation_m_rad": math.sqrt(known)}
 
 
 class LkfEstimator(OnlineEstimator):

@@ -184,23 +184,20 @@ class Pairs:
             regressors, motion = self._equations(present, *judged_on)
             return float(np.linalg.norm(regressors @ weights - motion) / np.linalg.norm(motion))
 
-        best_score, best = score(neurons), neurons
-
         def draw() -> Batch:
             first, second = self._draw(fitting, _BATCH)
             return self.joints[first], self.joints[second], self._z[second] - self._z[first]
 
-        def report(iteration: int, centres: np.ndarray, widths: np.ndarray) -> None:
-            nonlocal best_score, best
+        best_score, best = score(neurons), neurons
+        nodes = quadrature(self._nodes)
+        refined = refine(neurons, draw, nodes, _RIDGE, _LEARNING_RATE, iterations)
+        for iteration, present in enumerate(refined, 1):
             if iteration % _CHECK_EVERY == 0 or iteration == iterations:
-                present = score((centres, widths))
-                if present < best_score:
-                    best_score, best = present, (centres.copy(), widths.copy())
+                present_score = score(present)
+                if present_score < best_score:
+                    best_score, best = present_score, present
             if progress is not None:
                 progress(iteration, iterations, best_score)
-
-        nodes = quadrature(self._nodes)
-        refine(neurons, draw, nodes, _RIDGE, _LEARNING_RATE, iterations, report)
         return best
 
 

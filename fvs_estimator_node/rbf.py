@@ -1,8 +1,7 @@
 """Radial basis function networks, one per Jacobian column, and their online update.
 
-The paper's equations: features (8), columns (9), update law (17) with the corrections that make
-its stability proof hold: the sliding term enters with a plus, and the leak pulls toward the
-offline weights rather than toward zero.
+The paper's equations: features (8), columns (9), update law (17). As its stability proof needs it,
+the sliding term enters with a plus. The leak, which forgets the training, is left out.
 """
 
 from __future__ import annotations
@@ -48,11 +47,6 @@ class RbfModel:
             raise ValueError("the networks have no neurons")
         if self.widths.min() <= 0.0:
             raise ValueError(f"widths must be positive, the smallest is {self.widths.min():g}")
-
-    @property
-    def neurons(self) -> int:
-        """Number of neurons of one network, k."""
-        return self.widths.shape[1]
 
     def features(self, joints_rad: np.ndarray) -> np.ndarray:
         """Neuron values theta_it(r), eq (8), shape (..., n, k), at joints, rad, (..., n)."""
@@ -101,12 +95,6 @@ class RbfConfig(Parameters):
         -10.0,
         10.0,
     )
-    k3: float = parameter(0.0, "Leak toward the rest weights, 1/s.", 0.0, 100.0)
-    leak_target: str = parameter(
-        "offline",
-        "Rest weights of the leak: those of the model, or zero as in the paper.",
-        choices=("offline", "zero"),
-    )
     mu: float = parameter(
         0.5,
         "Largest share of the prediction error that one step may correct; stable below 2.",
@@ -137,15 +125,10 @@ class FrozenRbfEstimator(Estimator):
     def __init__(self, model: RbfModel, config: Any = None, kind: Kind | None = None) -> None:
         super().__init__(kind)
         self.config: Any = config if config is not None else self.config_type()
-        self.model, self._rest = model, model.weights * self.kind.weights[:, None]
+        self.model = model
         self._offset, self._slope, self._curvature = _exponent_terms(model.centres, model.widths)
         self._theta, self._scratch = np.empty((2, self._offset.size))
         self.reset()
-
-    @property
-    def weights(self) -> np.ndarray:
-        """Present weights of the weighted numbers, m/rad, shape (n, m, k); a copy."""
-        return self._weights.copy()
 
     def _evaluate(self, joints_rad: np.ndarray) -> np.ndarray:
         """Features at one joint vector, shape (n, k), in a buffer that the next call reuses."""
@@ -160,22 +143,23 @@ class FrozenRbfEstimator(Estimator):
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
         """Estimate at joints, rad, (n,), and the feature there, (m,): m/rad, shape (d, n)."""
         theta = self._evaluate(np.asarray(joints_rad, dtype=float))
-        columns = np.matmul(self._weights, theta[:, :, None])[:, :, 0].T.copy()
+        columns = np.matmul(self.weights, theta[:, :, None])[:, :, 0].T.copy()
         return columns if z is None else self.kind.to_tangent(z, columns)
 
     def reset(self) -> None:
         """Return to the trained weights and forget the counts."""
         super().reset()
-        self._weights = self._rest.copy()
+        #: Present weights of the weighted numbers, m/rad, shape (n, m, k).
+        self.weights = self.model.weights * self.kind.weights[:, None]
 
 
 class RbfEstimator(FrozenRbfEstimator):
     """The networks with the paper's online update (17) of their weights.
 
     With e = x_dot - J r_dot, the weights of feature j of network i change by
-    ``Gamma r_dot_i theta_i (n1 e_j + alpha2 s_j) - k3 (W_ij - W0_ij)``, integrated over the step:
-    the leak exactly, the rest with Gamma reduced where ``Gamma n1 dt sum_i r_dot_i^2 |theta_i|^2``
-    would exceed ``mu``. (The proof holds for any positive Gamma, but not for an overshooting step.)
+    ``Gamma r_dot_i theta_i (n1 e_j + alpha2 s_j)``, integrated over the step, with Gamma reduced
+    where ``Gamma n1 dt sum_i r_dot_i^2 |theta_i|^2`` would exceed ``mu``. (The proof holds for any
+    positive Gamma, but not for an overshooting step.)
     """
 
     learns = True
@@ -186,29 +170,21 @@ class RbfEstimator(FrozenRbfEstimator):
         """Learn from one step; what is not finite changes nothing."""
         config = self.config
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            velocity = step.joint_velocity
+            velocity = step.d_joints_rad / step.dt_s
             theta = self._evaluate(step.joints_rad)
-            columns = np.matmul(self._weights, theta[:, :, None])[:, :, 0]
+            columns = np.matmul(self.weights, theta[:, :, None])[:, :, 0]
             predicted = self.kind.to_tangent(step.z, velocity @ columns)
             regressor = velocity[:, None] * theta
             energy = step.dt_s * float(np.vdot(regressor, regressor))
             share = 1.0
             if config.n1 * energy > config.mu:
                 share = config.mu / (config.n1 * energy)
-            error = step.feature_velocity - predicted
+            error = step.d_feature_m / step.dt_s - predicted
             drive = share * step.dt_s * (config.n1 * error + config.alpha2 * step.sliding_variable)
             drive = self.kind.from_tangent(step.z, drive)
-            weights = self._weights + drive[None, :, None] * regressor[:, None, :]
-            if config.k3 > 0.0:
-                rest = 0.0 if config.leak_target == "zero" else self._rest
-                weights -= -math.expm1(-config.k3 * step.dt_s) * (self._weights - rest)
+            weights = self.weights + drive[None, :, None] * regressor[:, None, :]
         if not (step.dt_s > 0.0 and math.isfinite(np.vdot(weights, weights))):
             self.refused += 1
             return
-        self._weights = weights
+        self.weights = weights
         self.updates += 1
-
-    def status_values(self) -> dict[str, float]:
-        """Counts, and how far the weights are from the trained ones (Frobenius norm), m/rad."""
-        change = float(np.linalg.norm(self._weights - self._rest))
-        return {**super().status_values(), "weight_change_m_rad": change}

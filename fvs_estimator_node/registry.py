@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from fvs_estimator_node.base import CHAIN, NETWORKS, Estimator, OracleEstimator
+from fvs_estimator_node.base import CHAIN, Estimator, OracleEstimator
 from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
-from fvs_estimator_node.online import FROM_ZERO, LkfEstimator, RlsEstimator, UkfEstimator
-from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator, RbfModel
-from fvs_ros.chain import SerialChain
+from fvs_estimator_node.files import TrainedModel
+from fvs_estimator_node.online import LkfEstimator, RlsEstimator, UkfEstimator
+from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator
 from fvs_ros.joints import JOINT_PARAMETERS
 from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.params import Parameter, parameter
@@ -44,25 +44,10 @@ class EstimatorConfig(KindConfig):
     )
 
 
-def _class_and_config(method: str, values: Mapping[str, Any]) -> tuple[type[Any], Any]:
-    if method not in ESTIMATORS:
-        known = ", ".join(sorted(ESTIMATORS))
-        raise ValueError(f"unknown estimator method {method!r}; known are {known}")
-    made_by = ESTIMATORS[method]
-    return made_by, made_by.config_type.from_values(values, f"{made_by.group}.")
-
-
-def needs_model(method: str, values: Mapping[str, Any]) -> bool:
-    """Whether a method cannot do without a trained model, given the parameter values."""
-    made_by, config = _class_and_config(method, values)
-    return bool(made_by.made_from) and getattr(config, "initial", "") != FROM_ZERO
-
-
 def create_estimator(
     method: str,
-    model: RbfModel | None = None,
     values: Mapping[str, Any] | None = None,
-    chain: SerialChain | None = None,
+    load: Callable[[], TrainedModel] | None = None,
     kind: Kind | None = None,
 ) -> Estimator:
     """Make an estimator.
@@ -71,12 +56,10 @@ def create_estimator(
     ----------
     method : str
         One of ``ESTIMATORS``.
-    model : RbfModel, optional
-        The trained networks, for methods that need them.
     values : mapping, optional
         Parameter values by name; those of other methods are ignored.
-    chain : SerialChain, optional
-        The fitted chain, for methods that need it.
+    load : callable, optional
+        Loads the trained model; called only for a method that needs one.
     kind : Kind, optional
         The kind of feature; a ball by default.
 
@@ -85,14 +68,20 @@ def create_estimator(
     ValueError
         If the method is unknown, lacks its model, or a value is out of range.
     """
-    made_by, config = _class_and_config(method, values or {})
-    source = {CHAIN: chain, NETWORKS: model}.get(made_by.made_from)
-    if source is None and needs_model(method, values or {}):
-        by = "fvs_train --method poe" if made_by.made_from == CHAIN else "fvs_train"
-        raise ValueError(
-            f"estimator method {method} needs {made_by.made_from}: set model_path to a file that "
-            f"{by} has written"
-        )
+    if method not in ESTIMATORS:
+        known = ", ".join(sorted(ESTIMATORS))
+        raise ValueError(f"unknown estimator method {method!r}; known are {known}")
+    made_by = ESTIMATORS[method]
+    config = made_by.config_type.from_values(values or {}, f"{made_by.group}.")
+    part, source = made_by.needs(config), None
+    if part:
+        source = getattr(load(), part) if load is not None else None
+        if source is None:
+            by = "fvs_train --method poe" if part == CHAIN else "fvs_train"
+            raise ValueError(
+                f"estimator method {method} needs a trained {part}: set model_path to a file that "
+                f"{by} has written"
+            )
     estimator: Estimator = made_by(source, config, kind)
     return estimator
 

@@ -31,7 +31,6 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-@_one_thread()
 def refine(
     neurons: tuple[np.ndarray, np.ndarray],
     draw: Callable[[], Batch],
@@ -39,14 +38,13 @@ def refine(
     ridge: float,
     learning_rate: float,
     iterations: int,
-    report: Callable[[int, np.ndarray, np.ndarray], None],
-) -> None:
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Move centres and widths by Adam so that the networks predict the ball's motion better.
 
     Takes initial centres, (n, k, n), and widths, (n, k), rad; a function that draws the next batch;
     quadrature nodes in [0, 1] between two joint positions, and their weights; the ridge relative to
     the mean diagonal; Adam's first step for centres (rad) and log widths, which decays to zero.
-    ``report`` takes iteration, centres and widths.
+    Yields centres and widths after each iteration.
     """
     centres, widths = neurons
     networks = [
@@ -56,23 +54,20 @@ def refine(
         )
         for i in range(len(widths))
     ]
-    adam = torch.optim.Adam(
-        [variable for network in networks for variable in network],
-        lr=learning_rate,
-        betas=_BETAS,
-    )
+    variables = [variable for network in networks for variable in network]
+    adam = torch.optim.Adam(variables, lr=learning_rate, betas=_BETAS)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, iterations)
-    nodes, node_weights = quadrature
-    for iteration in range(1, iterations + 1):
+    for _ in range(iterations):
         start, end, motion = (torch.from_numpy(np.ascontiguousarray(a)) for a in draw())
-        adam.zero_grad()
-        _relative_squared_error(networks, start, end, motion, nodes, node_weights, ridge).backward()
-        adam.step()
-        schedule.step()
+        with _one_thread():
+            adam.zero_grad()
+            _relative_squared_error(networks, start, end, motion, *quadrature, ridge).backward()
+            adam.step()
+            schedule.step()
         with torch.no_grad():
-            present = torch.stack([c for c, _ in networks]).numpy()
-            present_widths = torch.stack([w for _, w in networks]).exp().numpy()
-        report(iteration, present, present_widths)
+            centres = torch.stack([c for c, _ in networks]).numpy()
+            widths = torch.stack([w for _, w in networks]).exp().numpy()
+        yield centres, widths
 
 
 def _relative_squared_error(

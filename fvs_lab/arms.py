@@ -94,7 +94,7 @@ def servo(task: tuple[str, int, float]) -> list[dict[str, Any]]:
         best,
         labels={"arm": arm, "joints": len(limits.joint_names), "learned": error},
         estimator_of=lambda *_: create_estimator(
-            best.method, trained.model, best.estimator_values, trained.chain
+            best.method, best.estimator_values, lambda: trained
         ),
     )
     rng, (low, high) = np.random.default_rng(3), trained.joint_box_rad

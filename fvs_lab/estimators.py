@@ -14,15 +14,14 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.base import Estimator, MotionStep
+from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.rbf import RbfConfig
-from fvs_estimator_node.steps import StepPairing
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.results import Results, label_of
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, along, relative_errors, simulation_of
-from fvs_ros.filter import Image
-from fvs_ros.track import Track
+from fvs_ros.kinds import Kind
 from fvs_tools.closed_loop import make_estimator
 from fvs_tools.score import criteria
 
@@ -89,6 +88,20 @@ class Recording:
     true_jacobian: np.ndarray
 
 
+class _Recorder(Estimator):
+    """Keeps the steps that an estimator learns from."""
+
+    def __init__(self, kind: Kind) -> None:
+        super().__init__(kind)
+        self.steps: list[MotionStep] = []
+
+    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
+        raise NotImplementedError
+
+    def update(self, step: MotionStep) -> None:
+        self.steps.append(step)
+
+
 def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
     """Move the simulated arm, and record measurements and ground truth.
 
@@ -103,7 +116,8 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
     )
     motion = RandomMotion(HOME_RAD, config, np.random.default_rng([seed, 1]))
     simulation.reset(HOME_RAD, seed)
-    pairing, track, images = StepPairing(), Track(simulation.kind), list[Image]()
+    recorder = _Recorder(simulation.kind)
+    loop = EstimationLoop(recorder)
     period_s = 1.0 / simulation.config.joint_state_rate_hz
     joints = simulation.joints_rad
     truth_m: dict[int, np.ndarray] = {}  # by microseconds, which survive the rounding of sums
@@ -114,13 +128,11 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
         for image in out.observations:
             truth_m[round(1e6 * image.stamp_s)] = image.true_position_m
             if image.z is not None:
-                images += track.add_image(image.stamp_s, image.z)
-        images += track.add_joints(out.time_s, joints, None)
-    steps = [step for step in map(pairing.step, images) if step is not None]
-    ends_m, starts_m = (
-        np.array([truth_m[round(1e6 * getattr(step, name))] for step in steps])
-        for name in ("stamp_s", "start_stamp_s")
-    )
+                loop.add_image(image.stamp_s, image.z)
+        loop.add_joints(out.time_s, joints)
+    steps = recorder.steps
+    ends_m = np.array([truth_m[round(1e6 * step.stamp_s)] for step in steps])
+    starts_m = np.array([truth_m[round(1e6 * (step.stamp_s - step.dt_s))] for step in steps])
     return Recording(
         steps=tuple(steps),
         time_s=np.array([step.stamp_s for step in steps]) - prelude_s,

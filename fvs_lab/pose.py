@@ -11,7 +11,7 @@ import numpy as np
 
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.base import Estimator
-from fvs_estimator_node.registry import create_estimator
+from fvs_estimator_node.camera import PoeEstimator
 from fvs_lab import contestants as who
 from fvs_lab import experiment as lab
 from fvs_lab.results import Results
@@ -53,7 +53,7 @@ def _true_chain(off_deg: float, off_m: float, simulation: Simulation, case: Case
     axis, direction = np.random.default_rng(case.seed).normal(size=(2, 3))
     rotation = rotation_from_vector(np.array(along(axis, np.radians(off_deg))))
     chain = simulation.true_chain(Pose()).moved(rotation, np.array(along(direction, off_m)))
-    return create_estimator("poe", chain=chain, kind=Pose())
+    return PoeEstimator(chain, kind=Pose())
 
 
 def calibrated(off_deg: float, off_m: float, conditions: Conditions) -> Trial:

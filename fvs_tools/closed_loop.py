@@ -52,8 +52,8 @@ def make_estimator(
     if method == "oracle":
         truth = partial(simulation.true_jacobian, kind=kind)
         return OracleEstimator(truth, kind=kind)
-    trained = _load(model or kind.model, simulation.world.joint_names, kind.name)
-    return create_estimator(method, trained.model, values or {}, trained.chain, kind)
+    load = partial(_load, model or kind.model, simulation.world.joint_names, kind.name)
+    return create_estimator(method, values, load, kind)
 
 
 class ClosedLoop:

@@ -132,7 +132,7 @@ def test_an_estimator_is_judged_before_it_learns_and_errors_add_up():
         for t, ball in zip(times, balls_m, strict=True)
     )
     values = {"initial": "zero", "measurement_noise_m": 1e-6, "process_noise": 10.0}
-    exact = create_estimator("lkf", None, {f"online.{name}": v for name, v in values.items()})
+    exact = create_estimator("lkf", {f"online.{name}": v for name, v in values.items()})
     recording = Recording(steps, times, balls_m, np.ones((3, 3, 6)))
     row = score(recording, jacobians_of(exact, recording), 0.5)
     assert row["t1_m"] == pytest.approx((0.01 + np.hypot(0.01, 0.02)) / 3.0)

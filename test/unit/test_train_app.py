@@ -32,7 +32,7 @@ def test_a_chain_teaches_the_networks(data_file, tmp_path, capsys):
     ):
         assert words in printed
     trained = load_model(model)
-    assert trained.model.neurons == 30
+    assert trained.model.widths.shape == (6, 30)
     assert trained.provenance["method"] == "poe"
     joints = RECORDING.places()
     true = RECORDING.chain().jacobian(joints)
