@@ -29,7 +29,7 @@ _BUMP_M = 0.01
 #: Largest prior deviation of the rotation after a bump, rad. It applies to a bump that follows
 #: another within this number of positions: the first one did not show all of the rotation. (After
 #: a rotation about the ball, 0.7 degrees remain after 40 positions, and 4.7 without this rule.)
-_BUMPED_RAD, _SOON = 0.7, 20
+_BUMPED_RAD, _REPEATED_WITHIN = 0.7, 20
 #: No longer step, rad, is one Jacobian in its middle good for: at twice that it may miss 10 mm.
 _LONGEST_RAD = 0.2
 #: A ball within this distance of the last stored position is at rest, m.
@@ -85,42 +85,42 @@ class CameraPose:
     def add(
         self,
         model_m: np.ndarray,
-        seen_m: np.ndarray,
+        image_m: np.ndarray,
         noise_m: float,
         directions: np.ndarray = _NO_DIRECTIONS,
-        seen_directions: np.ndarray = _NO_DIRECTIONS,
+        image_directions: np.ndarray = _NO_DIRECTIONS,
     ) -> None:
         """Take a position by the model and by the image, m, (3,), and directions, m, (k, 3)."""
-        off_m = length(seen_m - (self.rotation @ model_m + self.translation_m))
-        turned_m = seen_directions - directions @ self.rotation.T
-        off_m = math.hypot(off_m, length(turned_m.ravel()))
-        deviation_rad = self._turn_deviation_rad(noise_m)
+        residual_m = length(image_m - (self.rotation @ model_m + self.translation_m))
+        direction_m = image_directions - directions @ self.rotation.T
+        residual_m = math.hypot(residual_m, length(direction_m.ravel()))
+        deviation_rad = self._rotation_deviation_rad(noise_m)
         reach_m = length(model_m - self._mean_p) if self._weight else 0.0
-        if off_m > _BUMP_M + OUTLIER * math.hypot(noise_m, deviation_rad * reach_m):
+        if residual_m > _BUMP_M + OUTLIER * math.hypot(noise_m, deviation_rad * reach_m):
             self.bumps += 1
             # A rotation moves the ball by angle times distance, but not if it is about the ball.
-            turned_rad = off_m / max(length(seen_m), 1e-3)
-            doubt_rad = math.hypot(deviation_rad, turned_rad, self._deviation_rad)
-            again = 0.0 < self._weight < _SOON
-            self._begin(self.rotation, _BUMPED_RAD if again else min(doubt_rad, _BUMPED_RAD))
+            rotation_rad = residual_m / max(length(image_m), 1e-3)
+            prior_rad = math.hypot(deviation_rad, rotation_rad, self._deviation_rad)
+            repeated = 0.0 < self._weight < _REPEATED_WITHIN
+            self._begin(self.rotation, _BUMPED_RAD if repeated else min(prior_rad, _BUMPED_RAD))
         # At rest no weight decays, because no new information arrives.
-        gone = model_m - self._kept_at
+        shift_m = model_m - self._kept_at
         keep = 1.0
-        if float(gone.dot(gone)) > _STILL_M**2:
+        if float(shift_m.dot(shift_m)) > _STILL_M**2:
             keep, self._kept_at = self._keep, model_m
         weight = min(keep * self._weight, self._memory)
         self._weight = total = weight + 1.0
-        from_p, from_x = model_m - self._mean_p, seen_m - self._mean_x
+        from_p, from_x = model_m - self._mean_p, image_m - self._mean_x
         # The present rotation replaces the weight that decays: long motion along one line must not
         # erase the rotation about that line.
         self._prior = keep * self._prior + (1.0 - keep) * self._precision * self.rotation
         self._scatter = keep * self._scatter + (weight / total) * from_x[:, None] * from_p
-        self._scatter += seen_directions.T @ directions
+        self._scatter += image_directions.T @ directions
         self._mean_p, self._mean_x = self._mean_p + from_p / total, self._mean_x + from_x / total
         self.rotation = nearest_rotation(self._scatter + noise_m**2 * self._prior)
         self.translation_m = self._mean_x - self.rotation @ self._mean_p
 
-    def _turn_deviation_rad(self, noise_m: float) -> float:
+    def _rotation_deviation_rad(self, noise_m: float) -> float:
         """Standard deviation of the rotation, by the prior and the pairs since the last bump."""
         learned_m2 = max(float(np.vdot(self.rotation, self._scatter)), 0.0)
         return noise_m / math.sqrt(2.0 * self._precision * noise_m**2 + learned_m2 + 1e-12)
@@ -138,7 +138,7 @@ class _BehindCamera(Estimator):
         super().reset()
         self.camera.reset()
 
-    def _turned(self, motions: np.ndarray) -> np.ndarray:
+    def _rotated(self, motions: np.ndarray) -> np.ndarray:
         """Motions of points and directions, (3 k, n), as the camera sees them now."""
         turned = self.camera.rotation @ motions.reshape(-1, 3, motions.shape[1])
         return np.asarray(turned.reshape(motions.shape))
@@ -170,7 +170,7 @@ class PoeEstimator(_BehindCamera):
 
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
         """Estimate at joints, rad, (n,): m/rad, shape (d, n)."""
-        return self._turned(self.kind.moved_by(*self._fitted.motion(joints_rad)))
+        return self._rotated(self.kind.moved_by(*self._fitted.motion(joints_rad)))
 
     def observe(self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float) -> None:
         """Learn the camera's pose from where the feature is."""
@@ -198,7 +198,7 @@ class TurnedRbfEstimator(_BehindCamera):
 
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
         """Estimate at joints, rad, (n,), and the feature there, (m,): m/rad, shape (d, n)."""
-        columns = self._turned(self._model.jacobian(joints_rad))
+        columns = self._rotated(self._model.jacobian(joints_rad))
         return columns if z is None else self.kind.to_tangent(z, columns)
 
     def observe(self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float) -> None:

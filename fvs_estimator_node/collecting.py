@@ -202,7 +202,7 @@ class CollectionRun:
                 self.fail(str(error))
                 return None
         motion = self._motion
-        self._watch_place(joints, motion.box_rad)
+        self._watch_box(joints, motion.box_rad)
         self._watch_following()
         if self.state is State.FAILED:
             return None
@@ -224,7 +224,7 @@ class CollectionRun:
         moves = self.state in (State.MOVING, State.RETURNING)
         return motion.command(self._moved_s, joints) if moves else None
 
-    def _watch_place(self, joints: np.ndarray, box_rad: np.ndarray) -> None:
+    def _watch_box(self, joints: np.ndarray, box_rad: np.ndarray) -> None:
         low, high = self.config.allowed_rad(box_rad)
         joint = int(np.maximum(low - joints, joints - high).argmax())
         if not low[joint] <= joints[joint] <= high[joint]:

@@ -47,9 +47,9 @@ class Path:
     def joints_and_velocities(self, offset_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Joints and their velocities at the stamps minus an offset, (k, n) each."""
         joints, velocity = self._joints.copy(), np.zeros_like(self._joints)
-        for places, spline in self._splines:
-            time_s = self.stamps_s[places] - offset_s
-            joints[places], velocity[places] = spline(time_s), spline(time_s, 1)
+        for part, spline in self._splines:
+            time_s = self.stamps_s[part] - offset_s
+            joints[part], velocity[part] = spline(time_s), spline(time_s, 1)
         return joints, velocity
 
 

@@ -202,7 +202,7 @@ class Pairs:
 
 
 def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places in [0, 1] and their weights."""
+    """Nodes in [0, 1] and their weights."""
     nodes_at, weights = np.polynomial.legendre.leggauss(nodes)
     return 0.5 * (nodes_at + 1.0), 0.5 * weights
 

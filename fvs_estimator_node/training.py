@@ -154,7 +154,7 @@ def _networks(
         good = inliers(weights * fit.chain.position(data.joints_rad) - z, z)
         trained_on = range_of(data.joints_rad[good], data.z[good], rng)
         return distil(fit.chain, trained_on["joint_box_rad"], options.count, rng), trained_on, {}
-    pairs.joints = _joints_seen(data, fit.time_offset_s if fit is not None else 0.0)
+    pairs.joints = _joints_at_exposures(data, fit.time_offset_s if fit is not None else 0.0)
     iterations = options.iterations if options.method == "varpro" else 0
     weighted, good, errors = pairs.train(options.count, iterations, progress)
     model = replace(weighted, weights=weighted.weights / weights[:, None])
@@ -184,7 +184,7 @@ def _within(box_rad: np.ndarray, rng: np.random.Generator, count: int) -> np.nda
     return rng.uniform(box_rad[0], box_rad[1], (count, box_rad.shape[1]))
 
 
-def _joints_seen(data: DataSet, offset_s: float) -> np.ndarray:
+def _joints_at_exposures(data: DataSet, offset_s: float) -> np.ndarray:
     """Joints at the true exposures, rad, (k, n), for images stamped late by an offset, s."""
     joints = data.joints_rad.copy()
     for run in data.runs():

@@ -22,7 +22,7 @@ from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.urdf import UrdfJoint
 from fvs_sim_node.camera import RigidPose, add_depth_noise
 from fvs_sim_node.carried import CARRIED, exposed
-from fvs_sim_node.config import SceneObject, SimConfig
+from fvs_sim_node.config import SimConfig
 from fvs_sim_node.placement import Placement
 from fvs_sim_node.robot import moving_joints, robot_description, robot_of
 from fvs_sim_node.shapes import BulletClient, box, pybullet, sphere
@@ -67,8 +67,13 @@ class World:
             self.root_link = self.client.getBodyInfo(self._robot)[0].decode()
             self._find_joints(joints, link)
             self._prepare_links()
-            for thing in config.objects:
-                self.add_object(thing)
+            for item in config.objects:
+                self._body(
+                    sphere(self.client, item.size_m[0], item.rgba)
+                    if len(item.size_m) == 1
+                    else box(self.client, 0.5 * np.array(item.size_m), item.rgba),
+                    item.position_m,
+                )
             self.carried = CARRIED[config.feature](config)
             self._offset_m += self.carried.depth_m
             self._carried_body = self._body(self.carried.shape(self.client))
@@ -140,14 +145,6 @@ class World:
             self.client.setCollisionFilterGroupMask(
                 self._robot, link, int(collides), -int(collides)
             )
-
-    def add_object(self, thing: SceneObject) -> int:
-        """Put a thing into view; returns its body number."""
-        if len(thing.size_m) == 1:
-            shape = sphere(self.client, thing.size_m[0], thing.rgba)
-        else:
-            shape = box(self.client, 0.5 * np.array(thing.size_m), thing.rgba)
-        return self._body(shape, thing.position_m)
 
     def _facing(self, config: SimConfig) -> np.ndarray:
         """The rotation in its link of a body whose z axis points to the camera at home."""
