@@ -100,10 +100,8 @@ class Pairs:
         errors = {
             "pair_error_m": missed,
             "pair_error_relative": missed / moved,
-            "held_out_samples": len(held_out),
             "samples": len(good),
             "outliers": int(np.count_nonzero(~good)),
-            "iterations": iterations,
         }
         weights = self._solve(neurons, np.flatnonzero(good)).reshape(*neurons[1].shape, -1)
         return RbfModel(*neurons, weights.transpose(0, 2, 1)), good, errors

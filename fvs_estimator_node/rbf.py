@@ -48,13 +48,10 @@ class RbfModel:
         if self.widths.min() <= 0.0:
             raise ValueError(f"widths must be positive, the smallest is {self.widths.min():g}")
 
-    def features(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Neuron values theta_it(r), eq (8), shape (..., n, k), at joints, rad, (..., n)."""
-        return rbf_features(self.centres, self.widths, joints_rad)
-
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """Columns J_i = W_i theta_i, eq (9), per rad, (..., m, n), at joints, rad, (..., n)."""
-        return np.einsum("ijk,...ik->...ji", self.weights, self.features(joints_rad))
+        theta = rbf_features(self.centres, self.widths, joints_rad)
+        return np.einsum("ijk,...ik->...ji", self.weights, theta)
 
 
 def rbf_features(centres: np.ndarray, widths: np.ndarray, joints_rad: np.ndarray) -> np.ndarray:

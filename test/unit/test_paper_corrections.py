@@ -15,7 +15,7 @@ from fvs_controller_node.proportional import ProportionalGains, ProportionalLaw
 from fvs_controller_node.redundancy import DampedInverse
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_estimator_node.base import MotionStep
-from fvs_estimator_node.rbf import RbfConfig, RbfEstimator, RbfModel
+from fvs_estimator_node.rbf import RbfConfig, RbfEstimator, RbfModel, rbf_features
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "corrections.md"
@@ -126,7 +126,7 @@ def excess_of_47(n2: float, n3: float, printed: bool) -> np.ndarray:
     for _ in range(200):
         joints, error = rng.uniform(-0.5, 0.5, 6), rng.uniform(-0.3, 0.3, 3)
         weights = model.weights + 0.1 * rng.normal(size=model.weights.shape)
-        theta = model.features(joints)
+        theta = rbf_features(model.centres, model.widths, joints)
         estimate = np.einsum("ikm,im->ki", weights, theta)
         jacobian = np.einsum("ikm,im->ki", true_weights, theta)
         out = law.command(ControlInput(error, estimate, np.zeros(6), joints, 0.008))
