@@ -76,7 +76,7 @@ def test_a_joint_brakes_before_its_end_behind_a_drive_that_lags():
 
 def run_stamped_late(name, late_s):
     """A loop by images whose stamps are late, its errors, m, and its last command."""
-    simulation = Simulation(dataclasses.replace(EXACT, latency_s=0.1).sim_config())
+    simulation = Simulation(dataclasses.replace(EXACT, latency_s=0.1))
     target_m = feature_at(simulation, HOME_RAD - 0.15)
     advance = simulation.advance
 
