@@ -11,15 +11,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from harness import ros_arguments
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
-from rcl_interfaces.srv import (
-    DescribeParameters,
-    GetParameters,
-    ListParameters,
-    SetParameters,
-    SetParametersAtomically,
-)
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
 from std_msgs.msg import Float64MultiArray
 
 from fvs_ros import ros, topics
@@ -70,6 +64,7 @@ class LoneNode:
         parameters = parameters_of(name)
         overrides = {**ALONE.get(name, {}), **overrides}
         self.declared, self.values = {p.name: p for p in parameters}, parameters.values(overrides)
+        self.client = AsyncParameterClient(harness.node, self.resolve("~"))
         self.arguments = ros_arguments({"__ns": self.namespace}, **overrides)
 
     def resolve(self, name):
@@ -95,35 +90,28 @@ class LoneNode:
         every = ("rcl_interfaces/", "type_description_interfaces/")
         return {(name, kind) for name, (kind,) in services if not kind.startswith(every)}
 
-    def _call(self, kind, name, **request):
-        return self.harness.call(kind, self.resolve(f"~/{name}"), kind.Request(**request))
+    def answer(self, future):
+        """What it answers to a request."""
+        self.harness.spin_until(future.done, what=f"an answer of {self.name}")
+        return future.result()
 
     def listed(self):
-        names = set(self._call(ListParameters, "list_parameters").result.names)
-        return names - BUILT_IN
-
-    def describe(self, names):
-        answer = self._call(DescribeParameters, "describe_parameters", names=list(names))
-        return {descriptor.name: descriptor for descriptor in answer.descriptors}
+        return set(self.answer(self.client.list_parameters()).result.names) - BUILT_IN
 
     def get(self, names):
-        answer = self._call(GetParameters, "get_parameters", names=list(names))
-        return dict(zip(names, map(parameter_value_to_python, answer.values), strict=True))
+        values = self.answer(self.client.get_parameters(list(names))).values
+        return dict(zip(names, map(parameter_value_to_python, values), strict=True))
 
     def set(self, values):
         """What it answers to all values, by name."""
-        messages = [RosParameter(name, value=v).to_parameter_msg() for name, v in values.items()]
-        return dict(zip(values, self.ask(*messages), strict=True))
+        parameters = [RosParameter(name, value=value) for name, value in values.items()]
+        return dict(zip(values, self.ask(*parameters), strict=True))
 
-    def ask(self, *messages):
-        """What it answers to messages as they are."""
-        return self._call(SetParameters, "set_parameters", parameters=list(messages)).results
+    def ask(self, *parameters):
+        return self.answer(self.client.set_parameters(parameters)).results
 
-    def ask_at_once(self, *messages):
-        """What it answers if it is to take all or none."""
-        return self._call(
-            SetParametersAtomically, "set_parameters_atomically", parameters=list(messages)
-        ).result
+    def ask_at_once(self, *parameters):
+        return self.answer(self.client.set_parameters_atomically(parameters)).result
 
 
 @pytest.fixture(params=list(NODES))
@@ -233,9 +221,9 @@ def assert_refused(result, *words):
 def assert_lists_and_describes_parameters(node):
     assert node.listed() == set(node.declared)
     assert_has(node, node.values)
-    descriptors = node.describe(node.declared)
-    for name, parameter in node.declared.items():
-        descriptor = descriptors[name]
+    descriptors = node.answer(node.client.describe_parameters(list(node.declared))).descriptors
+    for descriptor in descriptors:
+        name, parameter = descriptor.name, node.declared[descriptor.name]
         kind = RosParameter.Type.from_parameter_value(parameter.default)
         assert descriptor.type == kind.value, name
         assert descriptor.description == parameter.description
