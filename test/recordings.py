@@ -93,7 +93,7 @@ class Recording:
         run = np.zeros(len(stamps), dtype=int)
         return DataSet(stamps, self.joints(stamps), ball, run, UR_JOINT_NAMES)
 
-    def places(self, count: int = 200) -> np.ndarray:
+    def sampled_joints(self, count: int = 200) -> np.ndarray:
         """Joints anywhere in the box, rad, shape (count, 6)."""
         draws = np.random.default_rng([self.seed, 4]).uniform(-1.0, 1.0, (count, 6))
         return ur5_dh.HOME_RAD + draws * np.array(self.reach_rad)

@@ -83,7 +83,7 @@ def see(estimator, chain, joints, rng):
 def test_the_jacobian_behind_a_turned_camera(networks, method, within):
     estimator, rng = made(method, networks), np.random.default_rng(0)
     seen = ur5_chain().moved(TURNED, np.array([0.1, -0.2, 0.1]))
-    joints, probes = Recording().joints(np.arange(90) / 15.0), Recording().places()
+    joints, probes = Recording().joints(np.arange(90) / 15.0), Recording().sampled_joints()
     begun = estimator.jacobian(joints[0])
     see(estimator, seen, joints, rng)
     learned = np.array([estimator.jacobian(q) for q in probes])

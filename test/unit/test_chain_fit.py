@@ -18,7 +18,7 @@ from fvs_ros.kinds.pose import Pose
 
 def error_of(fit, recording):
     """Median relative error of the Jacobian in the recording's box."""
-    probes = recording.places()
+    probes = recording.sampled_joints()
     true = recording.chain().jacobian(probes)
     return float(np.median(relative_error(fit.chain.jacobian(probes), true)))
 
@@ -97,7 +97,7 @@ def test_it_says_how_good_it_is_with_a_camera_and_joints_that_err(scales, encode
     recording = Recording()
     data = with_encoder_noise(encoder_noise_rad, recording.data())
     fit = fit_chain(replace(data, z=data.z * scales))
-    probes = recording.places(50)
+    probes = recording.sampled_joints(50)
     seen = np.diag(scales) @ recording.chain().jacobian(probes)
     error = np.median(relative_error(fit.chain.jacobian(probes), seen))
     assert 0.5 * error < np.median(fit.jacobian_deviation(probes)) < 2.0 * error
@@ -134,7 +134,7 @@ def test_a_joint_that_stood_still_spoils_no_other():
     reach[still] = 0.0
     recording = Recording(reach_rad=tuple(reach))
     fit = fit_chain(recording.data())
-    probes = recording.places()
+    probes = recording.sampled_joints()
     others = np.delete(np.arange(6), still)
     error = fit.chain.jacobian(probes) - recording.chain().jacobian(probes)
     assert np.linalg.norm(error[:, :, others], axis=(1, 2)).max() < 0.01
@@ -205,7 +205,7 @@ def pose_recording(recording, noise_m=3e-4, noise_rad=1e-3):
 def test_a_tag_on_the_last_axis_is_fitted_to_less_than_a_thousandth():
     recording = Recording()
     chain, data = pose_recording(recording)
-    fit, probes = fit_chain(data), recording.places()
+    fit, probes = fit_chain(data), recording.sampled_joints()
     true = chain.jacobian(probes)
     assert relative_error(fit.chain.jacobian(probes), true).max() < 1e-3
     assert fit.time_offset_s == pytest.approx(recording.late_s, abs=1e-3)

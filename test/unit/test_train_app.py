@@ -34,7 +34,7 @@ def test_a_chain_teaches_the_networks(data_file, tmp_path, capsys):
     trained = load_model(model)
     assert trained.model.widths.shape == (6, 30)
     assert trained.provenance["method"] == "poe"
-    joints = RECORDING.places()
+    joints = RECORDING.sampled_joints()
     true = RECORDING.chain().jacobian(joints)
     assert np.median(relative_error(trained.chain.jacobian(joints), true)) < 0.01
     assert np.median(relative_error(trained.model.jacobian(joints), true)) < 0.05

@@ -17,7 +17,7 @@ SMOOTH = Recording(seconds=90.0, late_s=0.0, outliers=0.0)
 
 def error_of(result, recording):
     """Median relative error of the networks' Jacobian."""
-    joints = recording.places()
+    joints = recording.sampled_joints()
     true = recording.chain().jacobian(joints)
     return np.median(relative_error(result.model.jacobian(joints), true))
 
