@@ -49,13 +49,6 @@ def axes_origins_ball(joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return axes, np.stack([point for _, point in joints], axis=-2), ball
 
 
-def flange_pose(joints_rad: np.ndarray) -> np.ndarray:
-    """Pose of the flange in the base, lengths in m, shape (4, 4)."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = frames(joints_rad)[-1]
-    return pose
-
-
 def ball_and_jacobian(joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Ball in the camera frame, m, (..., 3), and its Jacobian, m/rad, (..., 3, 6)."""
     axes, origins, ball = axes_origins_ball(joints_rad)

@@ -68,10 +68,6 @@ def test_noise_turns_no_camera_that_stands(noise_m):
 # --- the estimators ---
 
 
-def made(method, networks):
-    return PoeEstimator(ur5_chain()) if method == "poe" else TurnedRbfEstimator(networks)
-
-
 def see(estimator, chain, joints, rng):
     """Let it see a ball on a chain at joints, rad, shape (k, n)."""
     balls = chain.position(joints) + NOISE_M * rng.normal(size=(len(joints), 3))
@@ -81,7 +77,8 @@ def see(estimator, chain, joints, rng):
 
 @pytest.mark.parametrize(("method", "within"), [("poe", 0.01), ("rbf_left", 0.12)])
 def test_the_jacobian_behind_a_turned_camera(networks, method, within):
-    estimator, rng = made(method, networks), np.random.default_rng(0)
+    estimator = PoeEstimator(ur5_chain()) if method == "poe" else TurnedRbfEstimator(networks)
+    rng = np.random.default_rng(0)
     seen = ur5_chain().moved(TURNED, np.array([0.1, -0.2, 0.1]))
     joints, probes = Recording().joints(np.arange(90) / 15.0), Recording().sampled_joints()
     begun = estimator.jacobian(joints[0])
@@ -117,7 +114,7 @@ def test_each_bump_is_counted_and_nothing_else(bumped_s):
 
 
 def test_a_loss_in_motion_is_no_bump(networks):
-    estimator, rng = made("rbf_left", networks), np.random.default_rng(0)
+    estimator, rng = TurnedRbfEstimator(networks), np.random.default_rng(0)
     for start_s in (0.0, 4.0, 8.0, 12.0):
         see(estimator, ur5_chain(), Recording().joints(start_s + np.arange(60) / 30.0), rng)
     assert estimator.camera.bumps == 0

@@ -17,10 +17,6 @@ def random_chain(seed=0, joints=6, features=3):
     return SerialChain(*numbers, prismatic > 0.5)
 
 
-def fields(chain):
-    return {name: np.array(getattr(chain, name)) for name in CHAIN_SHAPES}
-
-
 @each("features", [3, 12])
 @each("count", [1, 4, 6, 7])
 def test_the_jacobian_is_the_derivative_of_the_position(count, features):
@@ -61,7 +57,7 @@ def test_a_moved_camera_sees_the_same_arm_elsewhere():
 @each("name", CHAIN_SHAPES)
 def test_a_number_that_is_not_finite_or_beyond_reason_is_refused(name):
     for bad in (np.nan, np.inf, 1e9):
-        values = fields(random_chain())
+        values = {field: np.array(getattr(random_chain(), field)) for field in CHAIN_SHAPES}
         values[name].flat[-1] = bad
         with pytest.raises(ValueError, match=f"{name}.*(not finite|number above)"):
             SerialChain(**values)

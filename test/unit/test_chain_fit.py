@@ -83,11 +83,6 @@ def test_a_minute_of_motion_is_enough():
     assert fit.outliers == pytest.approx(0.02 * fit.samples, rel=0.5)
 
 
-def with_encoder_noise(noise_rad, data):
-    noise = noise_rad * np.random.default_rng(0).normal(size=data.joints_rad.shape)
-    return replace(data, joints_rad=data.joints_rad + noise)
-
-
 @each(
     ("scales", "encoder_noise_rad"),
     [((1.0, 1.0, 1.0), 0.001), ((1.005, 1.005, 1.005), 0.0), ((0.98, 0.98, 1.0), 0.001)],
@@ -95,8 +90,9 @@ def with_encoder_noise(noise_rad, data):
 def test_it_says_how_good_it_is_with_a_camera_and_joints_that_err(scales, encoder_noise_rad):
     """In the frame of the camera as it is: what servoing by it needs."""
     recording = Recording()
-    data = with_encoder_noise(encoder_noise_rad, recording.data())
-    fit = fit_chain(replace(data, z=data.z * scales))
+    data = recording.data()
+    noise_rad = encoder_noise_rad * np.random.default_rng(0).normal(size=data.joints_rad.shape)
+    fit = fit_chain(replace(data, z=data.z * scales, joints_rad=data.joints_rad + noise_rad))
     probes = recording.sampled_joints(50)
     seen = np.diag(scales) @ recording.chain().jacobian(probes)
     error = np.median(relative_error(fit.chain.jacobian(probes), seen))

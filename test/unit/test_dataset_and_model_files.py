@@ -197,11 +197,6 @@ def test_a_pose_is_read_as_a_pose_and_not_as_a_ball(tmp_path):
 DESCRS = ("<f8", ">f8", "<f4", "<f2", "<i8", "|b1", "<c16", "<U1", "|S3", "|O", "<M8[s]", "|V8")
 
 
-def fields_of(path):
-    with zipfile.ZipFile(path) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
-
-
 def pack(members):
     """Write members, (name, bytes) pairs, into an archive; names may be doubled."""
     stream = io.BytesIO()
@@ -247,7 +242,8 @@ def odd_member(data):
 @FEW
 @given(data=st.data())
 def test_members_of_any_type_shape_and_content(kind, written, tmp_path, data):
-    fields = fields_of(written)
+    with zipfile.ZipFile(written) as archive:
+        fields = {name: archive.read(name) for name in archive.namelist()}
     members = dict(fields)
     for _ in range(data.draw(st.integers(1, 3))):
         name = data.draw(st.sampled_from(sorted(fields)))

@@ -22,15 +22,12 @@ SIX = st.lists(st.floats(-10.0, 10.0), min_size=6, max_size=6).map(np.array)
 RANGE = JointLimits(joint_min_rad=(-2.0,) * 6, joint_max_rad=(2.0,) * 6)
 
 
-def parallel(a: np.ndarray, b: np.ndarray) -> bool:
-    return abs(a @ b) >= (1 - 1e-9) * np.linalg.norm(a) * np.linalg.norm(b)
-
-
 @given(velocity=SIX, limit=st.floats(0.01, 4.0))
 def test_speed_is_limited_by_scaling_the_whole_vector(velocity, limit):
     got = limit_speed(velocity, limit)
     assert np.abs(got).max() < limit
-    assert parallel(got, velocity)
+    norms = np.linalg.norm(got) * np.linalg.norm(velocity)
+    assert got @ velocity >= (1 - 1e-9) * norms  # the same direction
     if np.abs(velocity).max() <= 0.9999 * limit:
         np.testing.assert_array_equal(got, velocity)
 

@@ -1,7 +1,5 @@
 """The networks' update law, (17), by hand and by its Lyapunov function."""
 
-import math
-
 import numpy as np
 import pytest
 from recordings import random_networks
@@ -20,15 +18,6 @@ def random_step(rng, model=None, weights=None, sliding=False, dt_s=0.04):
     return MotionStep(1.0, dt_s, joints, d_joints, d_ball, s)
 
 
-def features_by_hand(model, r):
-    theta = np.zeros((6, len(model.widths[0])))
-    for i in range(6):
-        for t in range(len(model.widths[0])):
-            distance = math.sqrt(sum((r[j] - model.centres[i, t, j]) ** 2 for j in range(6)))
-            theta[i, t] = math.exp(-((distance / model.widths[i, t]) ** 2))
-    return theta
-
-
 def test_the_update_is_equation_17_by_hand():
     model, rng = random_networks(), np.random.default_rng(2)
     config = RbfConfig(n1=0.4, alpha2=0.2, mu=1.9)
@@ -36,7 +25,8 @@ def test_the_update_is_equation_17_by_hand():
     for _ in range(3):
         step = random_step(rng, sliding=True)
         before = estimator.weights
-        theta = features_by_hand(model, step.joints_rad)  # (8)
+        distances = np.linalg.norm(step.joints_rad - model.centres, axis=2)
+        theta = np.exp(-((distances / model.widths) ** 2))  # (8)
         columns = np.stack([before[i] @ theta[i] for i in range(6)], axis=1)  # (9)
         np.testing.assert_allclose(estimator.jacobian(step.joints_rad), columns, rtol=1e-12)
         v = step.d_joints_rad / step.dt_s

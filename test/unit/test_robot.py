@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pybullet
 import pytest
-from ur5_dh import axes_origins_ball, flange_pose
+from ur5_dh import axes_origins_ball, frames
 
 from fvs_detector_node.ball_detector import colour_mask
 from fvs_detector_node.config import BallColour
@@ -29,7 +29,7 @@ def world():
 def test_physics_engine_and_chain_agree_with_the_published_kinematics(world):
     # All joints at zero: stretched out along -x, flange facing -y.
     expected = [-0.425 - 0.39225, -0.10915 - 0.0823, 0.089159 - 0.09465]
-    np.testing.assert_allclose(flange_pose(np.zeros(6))[:3, 3], expected, atol=1e-12)
+    np.testing.assert_allclose(frames(np.zeros(6))[-1][1], expected, atol=1e-12)
     joints = np.random.default_rng(0).uniform(-3.0, 3.0, (50, 6))
     axes, origins, balls_m = axes_origins_ball(joints)
     jacobians = np.swapaxes(np.cross(axes, balls_m[:, None] - origins), -1, -2)
@@ -54,7 +54,7 @@ def test_a_urdf_without_its_meshes_is_simulated_with_cubes(tmp_path):
     mesh = '<geometry><mesh filename="package://some_arm/meshes/part.stl"/></geometry>'
     text = re.sub("<geometry>.*?</geometry>", mesh, robot_description(UR5), flags=re.DOTALL)
     path, words = tmp_path / "arm.urdf", []
-    path.write_bytes(text.encode("utf-16"))  # which PyBullet does not read
+    path.write_text(text, encoding="utf-8-sig")
     assert "mesh" not in robot_description(Robot(str(path)), say=words.append)
     (sentence,) = words
     assert "1 meshes that are not here, such as package://some_arm/meshes/part.stl" in sentence

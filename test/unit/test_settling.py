@@ -71,21 +71,14 @@ def test_the_sliding_time_is_that_of_the_differential_equation(y0: float, surfac
     assert sliding_time_s(y0, SlidingSurface(1.0, 3.0, 0.0)) == math.inf
 
 
-def reaching_rate(s, law: ReachingLaw):
-    return -(law.k1 * s + law.k2 * np.abs(s) ** (2 * law.sigma - 1) * np.sign(s)) / law.k4
-
-
 @each("law", [ReachingLaw(), ReachingLaw(1.63, 0.067, 0.125, 0.82)])
 def test_the_surface_is_reached_when_promised(law: ReachingLaw):
     end = reaching_time_s(-0.8, law)
     sides = [0.0, 0.95 * end, 1.001 * end]
-    run = solve_ivp(
-        lambda _t, s: reaching_rate(s, law),
-        (0.0, sides[-1]),
-        [-0.8],
-        t_eval=sides,
-        rtol=1e-9,
-        atol=1e-12,
-    )
+
+    def rate(_t, s):
+        return -(law.k1 * s + law.k2 * np.abs(s) ** (2 * law.sigma - 1) * np.sign(s)) / law.k4
+
+    run = solve_ivp(rate, (0.0, sides[-1]), [-0.8], t_eval=sides, rtol=1e-9, atol=1e-12)
     assert run.y[0, 1] < -1e-6
     assert abs(run.y[0, 2]) < 1e-7

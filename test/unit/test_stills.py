@@ -94,36 +94,24 @@ def test_a_bag_of_still_poses_leaves_out_images_in_motion(tmp_path):
 # --- tables ---
 
 
-def write(path, columns, rows):
-    cells = [["" if np.isnan(x) else repr(float(x)) for x in row] for row in rows]
-    path.write_text("\n".join(", ".join(line) for line in [columns, *cells, [], []]), "utf-8")
-    return path
-
-
 def poses(places_m, rotations):
     """Rows x, y, z, qx, qy, qz, qw."""
     return np.hstack([places_m, Rotation.from_matrix(rotations).as_quat()])
 
 
-def images_of(data):
-    feature = data.kind
-    return poses(data.z[:, :3], [feature.rotation(feature.nearest(x)) for x in data.z])
-
-
-def hands(joints):
-    axes, places_m = ARM.tip_at(joints)
-    return poses(places_m, np.swapaxes(axes, 1, 2))
-
-
 def test_a_table_of_hand_poses_needs_no_urdf_and_no_common_clock(tmp_path):
     """Hand and tag at rates of their own, in lines of their own, with images 20 ms late."""
-    data, hand = collected("pose", delay_s=0.02, seconds=60.0), [f"hand_{name}" for name in POSE]
-    nothing = np.full((len(data), 7), np.nan)
-    of_hand = np.hstack([data.stamps_s[:, None], hands(data.joints_rad), nothing])
-    of_image = np.hstack([data.stamps_s[:, None], nothing, images_of(data)])[::2]
-    of_hand[:, 0] += 1e-3
-    joined = np.vstack([of_hand, of_image])
-    table, arm = read_table(write(tmp_path / "poses.csv", ["stamp_s", *hand, *POSE], joined))
+    data, path = collected("pose", delay_s=0.02, seconds=60.0), tmp_path / "poses.csv"
+    axes, hands_m = ARM.tip_at(data.joints_rad)
+    hands = poses(hands_m, np.swapaxes(axes, 1, 2))
+    tags = poses(data.z[:, :3], [data.kind.rotation(data.kind.nearest(z)) for z in data.z])
+    nothing, stamps_s = np.full_like(tags, np.nan), data.stamps_s
+    of_hand = np.column_stack([stamps_s + 1e-3, hands, nothing])
+    of_tag = np.column_stack([stamps_s, nothing, tags])[::2]
+    head = ", ".join(["stamp_s", *(f"hand_{name}" for name in POSE), *POSE])
+    np.savetxt(path, np.vstack([of_hand, of_tag]), "%.17g", ", ", header=head, comments="")
+    path.write_text(path.read_text("utf-8").replace("nan", ""), "utf-8")
+    table, arm = read_table(path)
     assert not table.still
     estimate = calibrate(table, arm)
     off_m, off_rad, _ = errors(estimate)

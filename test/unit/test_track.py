@@ -74,11 +74,6 @@ def ball(t: float) -> np.ndarray:
     return ORIGIN + JACOBIAN @ joints(t)
 
 
-def feed(track: Track, start_s: float, end_s: float, offset_s: float = 0.0) -> None:
-    for k in range(round(start_s / JOINT_S), round(end_s / JOINT_S)):
-        track.add_joints(k * JOINT_S + offset_s, joints(k * JOINT_S), JACOBIAN)
-
-
 def newest(track: Track) -> np.ndarray:
     predicted = track.now()
     assert predicted is not None
@@ -87,7 +82,8 @@ def newest(track: Track) -> np.ndarray:
 
 def test_it_carries_an_old_image_to_the_newest_joints():
     track = Track(Ball())
-    feed(track, 0.0, 1.0)
+    for k in range(125):
+        track.add_joints(k * JOINT_S, joints(k * JOINT_S), JACOBIAN)
     track.add_image(0.9, ball(0.9))
     np.testing.assert_allclose(newest(track), ball(0.992), atol=5e-5)
     assert track.latency_s == pytest.approx(0.092)
