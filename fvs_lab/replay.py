@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
 from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -126,25 +126,24 @@ def read(path: Path, namespace: str | None = None) -> Recording:
             topics.POSITION_COMMANDS: "positions",
             topics.CONTROLLER_STATUS: "status",
         }
-        ours = [
-            (name.removesuffix(topic.name).strip("/"), connection, key)
-            for name, connection in zip(names, reader.connections, strict=True)
-            for topic, key in keys.items()
-            if name.endswith(f"/{topic.name}") and connection.msgtype == topic.type
-        ]
-        robots = sorted({robot for robot, _, _ in ours})
+        robots: dict[str, dict[tuple[str, str], str]] = {}
+        for name, connection in zip(names, reader.connections, strict=True):
+            for topic, key in keys.items():
+                if name.endswith(f"/{topic.name}") and connection.msgtype == topic.type:
+                    own = robots.setdefault(name.removesuffix(topic.name).strip("/"), {})
+                    own[connection.topic, connection.msgtype] = key
         if namespace is not None:
-            robots = [robot for robot in robots if robot == namespace.strip("/")]
+            robots = {robot: own for robot, own in robots.items() if robot == namespace.strip("/")}
         if len(robots) > 1:
-            listed = ", ".join(f"'/{robot}'" for robot in robots)
+            listed = ", ".join(f"'/{robot}'" for robot in sorted(robots))
             raise BagError(f"it holds several robots, name one by --namespace: {listed}")
-        own = {(item.topic, item.msgtype): key for robot, item, key in ours if robot in robots}
-        chosen = [item for robot, item, _ in ours if robot in robots]
+        key_of = next(iter(robots.values()), {})
+        chosen = [each for each in reader.connections if (each.topic, each.msgtype) in key_of]
         arrivals_s, statuses = list[float](), list[Status]()
         rows_of: dict[str, list[tuple[float, np.ndarray]]] = {}
         for connection, time_ns, raw in reader.messages(chosen):
             message = TYPES.deserialize_cdr(raw, connection.msgtype)
-            key, arrival_s = own[connection.topic, connection.msgtype], time_ns * 1e-9
+            key, arrival_s = key_of[connection.topic, connection.msgtype], time_ns * 1e-9
             arrivals_s.append(arrival_s)
             if key == "status":
                 statuses.append(_status(arrival_s, message))
@@ -269,7 +268,11 @@ def draw(path: Path, recording: Recording, judged: Sequence[Target]) -> None:
     start_s = recording.start_s
     figure, axes = grid(2, 1, (12, 7), sharex=True)
     error, command = axes[:, 0]
-    for state, reason, begin_s, end_s in _bands(recording):
+    alike = groupby(recording.statuses, lambda status: (status.state, status.reason))
+    bands = [(label, list(statuses)) for label, statuses in alike]
+    ends_s = [*(statuses[0].time_s for _, statuses in bands[1:]), recording.end_s]
+    for ((state, reason), statuses), next_s in zip(bands, ends_s, strict=False):
+        begin_s, end_s = statuses[0].time_s, min(next_s, statuses[-1].time_s + SILENT_S)
         look = {"color": _COLOURS.get(state, "#555555"), "alpha": 0.3, "linewidth": 0.0}
         for axis in (error, command):
             axis.axvspan(begin_s - start_s, end_s - start_s, label=state, **look)
@@ -293,19 +296,6 @@ def draw(path: Path, recording: Recording, judged: Sequence[Target]) -> None:
     save(figure, path)
 
 
-def _bands(recording: Recording) -> list[tuple[str, str, float, float]]:
-    """State, reason, start and end, s, of equal statuses in a row; none while it was silent."""
-    bands: list[tuple[str, str, float, float]] = []
-    ends_s = [*(status.time_s for status in recording.statuses[1:]), recording.end_s]
-    for status, next_s in zip(recording.statuses, ends_s, strict=False):
-        label, start_s = (status.state, status.reason), status.time_s
-        end_s = min(next_s, start_s + SILENT_S)
-        if bands and bands[-1][:2] == label and bands[-1][3] == start_s:
-            start_s = bands.pop()[2]
-        bands.append((*label, start_s, end_s))
-    return bands
-
-
 # ---- the program ----------------------------------------------------------------------------
 
 
@@ -321,24 +311,21 @@ def main(argv: list[str]) -> int:
     out = arguments.out or Path("out/replay") / arguments.bag.resolve().name
     try:
         recording = read(arguments.bag, arguments.namespace)
-    except ValueError as error:
-        return _refuse(str(error))
-    judged = targets(recording)
-    try:
+        judged = targets(recording)
         out.mkdir(parents=True, exist_ok=True)
         draw(out / "replay.png", recording, judged)
+    except ValueError as error:
+        why = str(error)
     except OSError as error:
-        return _refuse(f"cannot write to {out}: {error.strerror}; name another folder by --out")
-    if recording.cut_off:
-        print("The bag was cut off: the end of the run, with the final stop, is missing.")
-    notes = [
-        f"set at {target.set_s - recording.start_s:.1f} s, {target.reason}" for target in judged
-    ]
-    print(table([target.score for target in judged], notes))
-    print(f"figure: {out / 'replay.png'}")
-    return EXIT_OK
-
-
-def _refuse(why: str) -> int:
+        why = f"cannot write to {out}: {error.strerror}; name another folder by --out"
+    else:
+        if recording.cut_off:
+            print("The bag was cut off: the end of the run, with the final stop, is missing.")
+        notes = [
+            f"set at {target.set_s - recording.start_s:.1f} s, {target.reason}" for target in judged
+        ]
+        print(table([target.score for target in judged], notes))
+        print(f"figure: {out / 'replay.png'}")
+        return EXIT_OK
     print(f"{COMMAND}: {why}", file=sys.stderr)
     return EXIT_BAD_INPUT
