@@ -78,7 +78,7 @@ class Reason(Enum):
         "check stamp_delay_s and gains",
     )
     NOT_FOLLOWING = _ends(
-        "{joint} does not follow: commanded {commanded:.2g} {unit}, moved {moved:.2g}",
+        "{joint} does not follow: commanded {commanded:.2g} rad (m), moved {moved:.2g}",
         "check that its controller is active, the robot program runs and no protective stop is on",
     )
     IMAGE_NOT_FOLLOWING = _ends(

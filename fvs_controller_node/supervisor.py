@@ -226,8 +226,8 @@ class Supervisor:
             return None
         config, joint = self.config, fault.joint
         commanded, moved = config.unit[joint] * np.array(fault[1:])
-        name, unit = config.joint_names[joint], config.length_unit(joint)
-        return Reason.NOT_FOLLOWING.because(joint=name, unit=unit, commanded=commanded, moved=moved)
+        name = config.joint_names[joint]
+        return Reason.NOT_FOLLOWING.because(joint=name, commanded=commanded, moved=moved)
 
     def _end_long_hold(self, finding: Finding | None, now_s: float) -> Finding | None:
         """A hold that lasts too long requires a new start."""

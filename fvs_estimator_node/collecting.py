@@ -228,10 +228,9 @@ class CollectionRun:
         low, high = self.config.allowed_rad(box_rad)
         joint = int(np.maximum(low - joints, joints - high).argmax())
         if not low[joint] <= joints[joint] <= high[joint]:
-            unit = self.config.length_unit(joint)
             self.fail(
                 f"{self._names[joint]} left its box or its range: it is at {joints[joint]:.3g} "
-                f"{unit}, expected {low[joint]:.3g} to {high[joint]:.3g} {unit}; check that no "
+                f"rad (m), expected {low[joint]:.3g} to {high[joint]:.3g}; check that no "
                 "other node moves the arm and that this computer is not too busy"
             )
 
@@ -246,7 +245,7 @@ class CollectionRun:
             made = self.config.unit[fault.joint] * np.array(fault[1:])
             self.fail(
                 f"the arm does not follow: {name} was commanded {made[0]:.2g} "
-                f"{self.config.length_unit(fault.joint)} and moved {made[1]:.2g}; check that its "
+                f"rad (m) and moved {made[1]:.2g}; check that its "
                 "controller is active, the robot program runs and no protective stop is on"
             )
 

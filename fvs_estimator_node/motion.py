@@ -85,10 +85,10 @@ class RandomMotion:
         upper = config.upper_rad - config.margin_rad
         joint = int(np.maximum(lower - start, start - upper).argmax())
         if not lower[joint] <= start[joint] <= upper[joint]:
-            name, unit = config.joint_names[joint], config.length_unit(joint)
             raise ValueError(
-                f"{name} starts at {start[joint]:.3g} {unit}, closer to an end of its range than "
-                f"{config.margin_rad[joint]:.3g} {unit} (joint_limit_margin_rad); move it inside"
+                f"{config.joint_names[joint]} starts at {start[joint]:.3g} rad (m), closer to an "
+                f"end of its range than {config.margin_rad[joint]:.3g} (joint_limit_margin_rad); "
+                "move it inside"
             )
         reach = np.asarray(config.joint_range_rad)
         self._config, self._start = config, start

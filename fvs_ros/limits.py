@@ -119,8 +119,6 @@ class JointLimits(ArmJoints):
         0.5,  # a quarter of the shortest range, in units of a joint's share
     )
 
-    #: The prismatic joints, by their names in robot_description; no parameter.
-    slides: tuple[str, ...] = ()
     #: What robot_description says of each joint's speed near an end; no parameter. With an offset
     #: o and a deceleration d a joint may be as fast as sqrt(2 d room) - o.
     near_ends: tuple[tuple[float, float], ...] = ()
@@ -182,10 +180,6 @@ class JointLimits(ArmJoints):
         own = self._given_or(self.joint_velocity_limits_rad_s, UNLIMITED)
         return np.minimum(self.unit, own / self.max_joint_velocity_rad_s)
 
-    def length_unit(self, joint: int) -> str:
-        """The unit of a joint's position, by its place: rad, or m."""
-        return "m" if self.tf_prefix + self.joint_names[joint] in self.slides else "rad"
-
     @cached_property
     def margin_rad(self) -> np.ndarray:
         """Distance from the end at which each joint begins to slow down, rad, (n,)."""
@@ -216,13 +210,9 @@ def with_urdf_limits(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -
     ``ParameterError`` names one of them that does not move in the URDF, or has odd limits.
     """
     names = [values["tf_prefix"] + name for name in values["joint_names"]]
-    joints = [urdf[name] for name in names if name in urdf]
+    joints, values = [urdf[name] for name in names if name in urdf], dict(values)
     if not joints:
-        return dict(values)
-    values = {
-        **values,
-        "slides": tuple(joint.name for joint in joints if joint.kind == "prismatic"),
-    }
+        return values
     if len(joints) == len(names):
         values["near_ends"] = tuple(joint.near_end for joint in joints)
     if all(values[name] for name in URDF_LIMITS):

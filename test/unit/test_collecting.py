@@ -318,5 +318,5 @@ def test_joint_limits_cut_the_box():
     limited = motion(joint_max_rad=tuple(HOME + 0.3))
     assert np.all(path_of(limited, lag_s=0.03) <= HOME + 0.3)
     np.testing.assert_allclose(limited.box_rad[1], HOME + 0.1)  # joint_limit_margin_rad below
-    with pytest.raises(ValueError, match=r"wrist_2_joint starts at -1\.57 rad, closer to an"):
+    with pytest.raises(ValueError, match=r"wrist_2_joint starts at -1\.57 rad \(m\), closer to an"):
         motion(joint_max_rad=tuple(HOME - 1.0))
