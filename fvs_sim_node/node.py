@@ -8,9 +8,11 @@ stop.listen()
 
 import sys
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
@@ -62,6 +64,7 @@ class SimNode(ros.FvsNode):
         self._truth = self.publisher(self._kind.topics.truth)
         self._true_jacobian = self.publisher(topics.TRUE_JACOBIAN)
         self._camera_pose = self.publisher(topics.TRUE_CAMERA_POSE)
+        self._transforms = self.publisher(topics.TF_STATIC) if find_spec("tf2_msgs") else None
         self._color = self.create_publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)
         self._depth = self.create_publisher(Image, topics.DEPTH_IMAGE.name, ros.QOS_LARGE)
         self._info = self.publisher(topics.CAMERA_INFO)
@@ -245,8 +248,18 @@ class SimNode(ros.FvsNode):
             z = Pose().of_body(camera.position_m, camera.rotation)
             pose = ros.to_feature(self.ros_s(), frame, Pose(), z)
             self._camera_pose.publish(pose)
-            self.publish_transform(pose, self._frame)
+            self._publish_transform(pose)
         self._play_program(config.program_running)
+
+    def _publish_transform(self, pose: PoseStamped) -> None:
+        """Publish the camera's pose on ``/tf_static``, if ``tf2_msgs`` is installed."""
+        if self._transforms is not None:
+            transform = TransformStamped(header=pose.header, child_frame_id=self._frame)
+            at, to = pose.pose.position, transform.transform.translation
+            to.x, to.y, to.z = at.x, at.y, at.z
+            transform.transform.rotation = pose.pose.orientation
+            message = ros.message_class(topics.TF_STATIC.type)(transforms=[transform])
+            self._transforms.publish(message)
 
     def _play_program(self, running: bool) -> None:
         """Mimic a UR driver when the robot program stops and when it resumes.

@@ -10,7 +10,6 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TransformStamped
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -101,7 +100,6 @@ class FvsNode(Node):
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._monitors: dict[str, ArrivalMonitor] = {}
         self._status = self.publisher(topics.STATUS)
-        self._transforms: Publisher | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
         self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
         self._health: tuple[bytes, str] = (OK, "starting")
@@ -242,21 +240,6 @@ class FvsNode(Node):
         own = f"{self._declared_name}/"
         name = topic.name.replace(own, "~/") if topic.name.startswith(own) else topic.name
         return self.create_publisher(message_class(topic.type), name, PROFILES[topic.offers])
-
-    def publish_transform(self, pose: PoseStamped, child: str) -> bool:
-        """Publish a frame's pose on ``/tf_static``; False if ``tf2_msgs`` is not installed."""
-        try:
-            kind = message_class(topics.TF_STATIC.type)
-        except ImportError:
-            return False
-        transform = TransformStamped(header=pose.header, child_frame_id=child)
-        at, to = pose.pose.position, transform.transform.translation
-        to.x, to.y, to.z = at.x, at.y, at.z
-        transform.transform.rotation = pose.pose.orientation
-        if self._transforms is None:
-            self._transforms = self.publisher(topics.TF_STATIC)
-        self._transforms.publish(kind(transforms=[transform]))
-        return True
 
     def watch(
         self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile
