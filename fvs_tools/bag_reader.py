@@ -55,17 +55,13 @@ class BagReader:
     ) -> list[tuple[Connection, int, bytes]]:
         """Connection, time of arrival, ns, and bytes of each message in order of arrival."""
         chosen = self.connections if connections is None else connections
-        messages = [message for storage in self._storages for message in _messages(storage, chosen)]
+        messages = []
+        for storage in self._storages:
+            own = [each for each in storage.connections if any(each is other for other in chosen)]
+            for connection, time_ns, raw in storage.messages(own) if own else ():
+                packed = bytes(raw[:4]) == _ZSTD
+                messages.append((connection, time_ns, zstd.decompress(raw) if packed else raw))
         return sorted(messages, key=lambda message: message[1])
-
-
-def _messages(
-    storage: Any, connections: Collection[Connection]
-) -> Iterator[tuple[Connection, int, bytes]]:
-    """Messages of a file, in its order."""
-    own = [each for each in storage.connections if any(each is other for other in connections)]
-    for connection, time_ns, raw in storage.messages(own) if own else ():
-        yield connection, time_ns, zstd.decompress(raw) if bytes(raw[:4]) == _ZSTD else raw
 
 
 @contextmanager

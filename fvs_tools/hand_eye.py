@@ -32,8 +32,8 @@ _PRIOR = Unknowns(*np.array([1.0, 1.0, 0.1, 0.02, 0.02, 0.2, 0.05, 0.005, 0.01])
 _LINK_SHARES, _OTHER_SHARES = 10.0 ** np.arange(0.0, -3.5, -0.5), 10.0 ** np.arange(0.0, -2.5, -0.5)
 #: Deviation of what counts as exact.
 _EXACT = 1e-6
-#: Delays of the images at which the search may start, s, and number of images in it.
-_STARTS_S, _SEARCHED = (-0.1, 0.0, 0.1), 300
+#: Number of images in the search.
+_SEARCHED = 300
 #: Noise above which a residual counts less, and evaluations of the search.
 _ROBUST, _EVALUATIONS = 2.0, 50
 #: Linearisations.
@@ -120,10 +120,10 @@ def solve(data: DataSet, arm: Kinematics) -> Estimate:
     arm : Kinematics
         From the URDF.
     """
-    path, delays_s = Path(data), (0.0,) if data.still else _STARTS_S
-    starts = [_start(data, path, arm, delay_s) for delay_s in delays_s]
-    model, values, _ = min(starts, key=lambda start: start[2])
-    values = _optimum(model, values)
+    path = Path(data)
+    joints = path.joints_and_velocities(0.0)[0]
+    model = HandEyeModel(data, path, arm, *registration(arm, joints, data.z[path.indices]))
+    values = _optimum(model)
     unknowns = model.unknowns(values)
     model = HandEyeModel(data, path, arm, *model.poses(unknowns))
     values[: model.sizes[0] + model.sizes[1]] = 0.0
@@ -142,18 +142,6 @@ def solve(data: DataSet, arm: Kinematics) -> Estimate:
     )
 
 
-def _start(
-    data: DataSet, path: Path, arm: Kinematics, delay_s: float
-) -> tuple[HandEyeModel, np.ndarray, float]:
-    """Model and unknowns with a delay of the images, s, and their median residual, m."""
-    joints = path.joints_and_velocities(delay_s)[0]
-    model = HandEyeModel(data, path, arm, *registration(arm, joints, data.z[path.indices]))
-    values = np.zeros(sum(model.sizes))
-    model.unknowns(values).delay_s[:] = delay_s
-    off_m = (model.features(values) - model.measured)[:, :3]
-    return model, values, float(np.median(np.linalg.norm(off_m, axis=1)))
-
-
 def _deviations(model: HandEyeModel, links: float = 1.0, others: float = 1.0) -> np.ndarray:
     """Of all unknowns, (p,), with shares of those of links and of what else is not free."""
     shares = np.array([1.0] * 3 + [others] * 5 + [links])
@@ -166,10 +154,11 @@ def _deviations(model: HandEyeModel, links: float = 1.0, others: float = 1.0) ->
     return deviation
 
 
-def _optimum(model: HandEyeModel, start: np.ndarray) -> np.ndarray:
+def _optimum(model: HandEyeModel) -> np.ndarray:
     """Robust optimum with the URDF's links."""
     images = np.unique(np.linspace(0, len(model.measured) - 1, _SEARCHED).astype(int))
     measured = model.measured[images]
+    start = np.zeros(sum(model.sizes))
     white = whitening(model.features(start, images) - measured, measured)
     deviation, links = _deviations(model), np.zeros(model.sizes[-1])
     deviation = deviation[: -links.size or None]
