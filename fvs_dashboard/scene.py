@@ -18,8 +18,8 @@ from viser.transforms import SO3
 from fvs_dashboard.board import Board
 from fvs_dashboard.picture import TARGET_RGB
 from fvs_ros.kinds import Kind
-from fvs_ros.paths import find_mesh
 from fvs_ros.urdf import read_robot
+from fvs_sim_node.robot import find_meshes
 
 _MEASURED, _PREDICTED = (213, 40, 30), (255, 214, 0)
 #: What the colours mean in the view.
@@ -70,7 +70,6 @@ class Scene:
         self._axes = scene.add_frame(
             "/camera/tag", axes_length=0.08, axes_radius=0.004, visible=False
         )
-        self._bars: viser.LineSegmentsHandle | None = None  # in place of missing meshes
         self._add_target(ball_radius_m)
 
     def _add_surroundings(self) -> None:
@@ -109,21 +108,12 @@ class Scene:
         if self._robot is not None:
             self._server.scene.remove_by_name("/robot/visual")  # and all that hangs on it
         self._arm, self._robot = arm, ViserUrdf(self._server, arm.urdf, root_node_name="/robot")
-        if self._bars is not None:
-            self._bars.remove()
-            self._bars = None
-        if arm.missing:
-            nothing, grey = np.zeros((len(arm.names), 2, 3)), (204, 209, 217)
-            look = {"thickness": 12.0, "thickness_units": "screen", "visible": False}
-            self._bars = self._server.scene.add_line_segments("/robot/bars", nothing, grey, **look)
 
     def update(self, board: Board, now_s: float) -> None:
         """Show a moment."""
         joints = board.newest("joint_states", now_s)
         if self._robot is not None and self._arm is not None and joints is not None:
             self._robot.update_cfg(self._arm.configuration(joints))
-            if self._bars is not None:
-                self._bars.points, self._bars.visible = self._arm.bars(joints), True
         if self._arm is not None and board.camera is not None:
             _set_pose(self._camera, self._arm.in_root(*board.camera))
             self._root.visible = True
@@ -165,8 +155,18 @@ class Arm:
 
     def __init__(self, text: str, names: Sequence[str]) -> None:
         self.names = tuple(names)
-        #: Its model, and a sentence on why it has no meshes: then bars stand for its links.
-        self.urdf, self.missing = _load(text)
+        # Its warnings apply to every robot's URDF.
+        logging.getLogger("yourdfpy").setLevel(logging.ERROR)
+        try:
+            root = read_robot(text)
+            #: A sentence on meshes that are not here, if some are not.
+            self.missing = find_meshes(root)
+            self.urdf = yourdfpy.URDF.load(
+                io.BytesIO(ET.tostring(root)),
+                filename_handler=lambda fname: fname.removeprefix("file://"),
+            )
+        except Exception as error:  # readers of XML and meshes raise various ones
+            raise ValueError(f"robot_description cannot be read: {error}") from error
         unknown = [name for name in names if name not in self.urdf.joint_map]
         if unknown:
             raise ValueError(f"robot_description has no joint {', '.join(unknown)}")
@@ -175,46 +175,6 @@ class Arm:
         """Joint positions by name, of positions in kinematic order, rad, shape (n,)."""
         return {name: float(angle) for name, angle in zip(self.names, joints_rad, strict=True)}
 
-    def bars(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Bars from the root from joint to joint, m, shape (n, 2, 3)."""
-        self.urdf.update_cfg(self.configuration(joints_rad))
-        links = [self.urdf.joint_map[name].child for name in self.names]
-        points_m = np.array(
-            [np.zeros(3), *(self.urdf.get_transform(link)[:3, 3] for link in links)]
-        )
-        return np.stack([points_m[:-1], points_m[1:]], axis=1)
-
     def in_root(self, frame: str, pose: np.ndarray) -> np.ndarray:
         """A pose in a link's frame, (4, 4), m, in the model's root; of another frame, as it is."""
         return self.urdf.get_transform(frame) @ pose if frame in self.urdf.link_map else pose
-
-
-def _load(text: str) -> tuple[yourdfpy.URDF, str]:
-    """Read a URDF, without meshes if one is not here; then a sentence says why."""
-    # Its warnings apply to every robot's URDF.
-    logging.getLogger("yourdfpy").setLevel(logging.ERROR)
-
-    def load(meshes: bool) -> yourdfpy.URDF:
-        source = io.BytesIO(ET.tostring(read_robot(text)))
-        return yourdfpy.URDF.load(source, filename_handler=_find, load_meshes=meshes)
-
-    # Its XML and mesh readers raise various exceptions.
-    try:
-        return load(True), ""
-    except Exception as error:
-        try:
-            return load(False), f"bars are drawn, for a mesh cannot be read: {error}"
-        except Exception:
-            raise ValueError(f"robot_description cannot be read: {error}") from error
-
-
-def _find(fname: str) -> str:
-    """The file of a mesh that the URDF names; a ``FileNotFoundError`` says how to get it."""
-    path = find_mesh(fname)
-    if path is not None:
-        return str(path)
-    package = fname.removeprefix("package://").partition("/")[0]
-    raise FileNotFoundError(
-        f"{fname} is not on this computer; install ros-jazzy-{package.replace('_', '-')} (apt), "
-        f"or name the folder that holds share/{package} in AMENT_PREFIX_PATH, and start this again"
-    )

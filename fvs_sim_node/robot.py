@@ -107,24 +107,35 @@ def robot_description(
 ) -> str:
     """The text of its URDF: mesh files absolute, and a prefix before each joint and link.
 
-    Cubes stand for meshes that are not here; ``say`` gets a sentence about them.
+    ``say`` gets a sentence about meshes that are not here.
     """
-    path, missing = robot.file(), set[str]()
+    path = robot.file()
     root = read_robot(path.read_bytes())
     for element in root.iter():
         name = _NAMED.get(element.tag, "")
         if name in element.attrib:
             element.set(name, tf_prefix + element.attrib[name])
+    if missing := find_meshes(root, path):
+        say(missing)
+    return ET.tostring(root, encoding="unicode")
+
+
+def find_meshes(root: ET.Element, urdf: Path | None = None) -> str:
+    """Name a URDF's mesh files absolutely; a sentence about those for which cubes stand, if any."""
+    missing = set[str]()
     for geometry in root.iter("geometry"):
         for mesh in geometry.findall("mesh"):
             name = mesh.get("filename", "")
-            file = find_mesh(name, path)
+            file = find_mesh(name, urdf)
             if file:
                 mesh.set("filename", f"file://{file}")
             else:
                 missing.add(name)
                 geometry.remove(mesh)
                 ET.SubElement(geometry, "box", size="0.04 0.04 0.04")
-    if missing:
-        say(f"cubes stand for {len(missing)} meshes that are not here, such as {min(missing)}")
-    return ET.tostring(root, encoding="unicode")
+    if not missing:
+        return ""
+    return (
+        f"cubes stand for {len(missing)} meshes that are not here, such as {min(missing)}; install "
+        "its package, or name the folder above its share in AMENT_PREFIX_PATH"
+    )

@@ -82,7 +82,6 @@ def test_the_versions_of_viser_are_the_same_everywhere():
 
 
 UR5 = ROBOTS["ur5"]
-JOINTS = np.array([0.3, -1.35, 1.6, -1.75, -1.57, 0.4])
 ON_A_TABLE = (
     '<link name="world"/><joint name="stands" type="fixed"><parent link="world"/>'
     '<child link="base_link"/><origin xyz="0.5 0 0.8" rpy="0 0 0"/></joint></robot>'
@@ -101,5 +100,10 @@ def test_the_camera_stands_in_the_link_that_its_pose_names(text, prefix, base_m)
     arm = Arm(text, [prefix + name for name in UR_JOINT_NAMES])
     pose = arm.in_root(f"{prefix}base_link", np.eye(4))
     np.testing.assert_allclose(pose[:3, 3], base_m, atol=1e-12)
-    assert arm.bars(JOINTS).shape == (6, 2, 3)
     assert arm.missing == ""
+
+
+def test_a_mesh_that_is_not_here_is_a_cube():
+    mesh = '<visual><geometry><mesh filename="package://a/b.stl"/></geometry></visual></link>'
+    arm = Arm(robot_description(UR5).replace("</link>", mesh, 1), UR_JOINT_NAMES)
+    assert "1 meshes that are not here, such as package://a/b.stl" in arm.missing
