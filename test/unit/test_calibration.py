@@ -167,65 +167,40 @@ def test_a_link_that_is_off_is_named_and_widens_what_is_stated(on_arm):
     assert re.search(f"from {link}_joint the URDF is off by some (4|5)", reason)
 
 
-def mirrored(data):
-    return data, replace(ARM, axes=ARM.axes * [[1], [1], [1], [-1], [1], [1]])
+def spoiled(field, change):
+    data = collected(seconds=20.0)
+    return replace(data, **{field: change(getattr(data, field))})
 
 
-def late(data):
-    return collected(delay_s=0.4, seconds=15.0), ARM
-
-
-def in_mm(data):
-    return replace(data, z=1e3 * data.z), ARM
-
-
-def swapped(data):
-    return replace(data, joints_rad=data.joints_rad[:, [0, 2, 1, 3, 4, 5]]), ARM
-
-
-def too_short(data):
-    return data, kinematics(read_joints(URDF.read_text("utf-8")), "forearm_link")
-
-
-def still(data):
-    joints = data.joints_rad.copy()
-    joints[:, 4] = joints[0, 4]
-    return replace(data, joints_rad=joints), ARM
-
-
-def renamed(data):
-    return replace(data, joint_names=("a", *data.joint_names[1:])), ARM
-
-
-def slow(data):
-    return replace(data, stamps_s=15.0 * data.stamps_s, segment=np.arange(len(data))), ARM
+FOREARM = kinematics(read_joints(URDF.read_text("utf-8")), "forearm_link")
+MIRRORED = replace(ARM, axes=ARM.axes * [[1], [1], [1], [-1], [1], [1]])
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("data", "arm", "words"),
     [
-        (slow, "follow each other by more than 0.25 s"),
-        (too_short, "no arm with the joints .* explains the images: check tip link"),
-        (renamed, "the data lack shoulder_pan_joint"),
-        (late, "the images are stamped .0.20 s late, or more"),
-        (in_mm, "positions above 100 m: metres?"),
+        (lambda: spoiled("segment", lambda s: np.arange(s.size)), ARM, "follow each other by more"),
+        (lambda: spoiled("joint_names", lambda n: ("a", *n[1:])), ARM, "lack shoulder_pan_joint"),
+        (lambda: spoiled("z", lambda z: 1e3 * z), ARM, "positions above 100 m: metres?"),
+        (lambda: collected(seconds=20.0), FOREARM, "explains the images: check tip link"),
+        (lambda: collected(delay_s=0.4, seconds=15.0), ARM, "are stamped .0.20 s late, or more"),
     ],
 )
-def test_what_cannot_be_calibrated_is_refused(change, words):
+def test_what_cannot_be_calibrated_is_refused(data, arm, words):
     with pytest.raises(CalibrationError, match=words):
-        calibrate(*change(collected(seconds=20.0)))
+        calibrate(data(), arm)
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "arm", "words"),
     [
-        (mirrored, "from elbow_joint to wrist_1_joint .* are joints swapped or mirrored"),
-        (swapped, "more than 10 degrees: are joints swapped or mirrored"),
-        (still, "wrist_2_joint never moved"),
+        (np.copy, MIRRORED, "from elbow_joint to wrist_1_joint .* are joints swapped or mirrored"),
+        (lambda q: q[:, [0, 2, 1, 3, 4, 5]], ARM, "more than 10 degrees: are joints swapped"),
+        (lambda q: np.where(np.arange(6) == 4, q[0], q), ARM, "wrist_2_joint never moved"),
     ],
 )
-def test_what_is_unusable_is_named(change, words):
-    word, reason = verdict_of(calibrate(*change(collected(seconds=20.0))))
+def test_what_is_unusable_is_named(change, arm, words):
+    word, reason = verdict_of(calibrate(spoiled("joints_rad", change), arm))
     assert word == "unusable"
     assert re.search(words, reason)
 

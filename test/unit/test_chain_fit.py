@@ -137,22 +137,18 @@ def test_a_joint_that_stood_still_spoils_no_other():
     assert np.median(fit.jacobian_deviation(probes[:20])) > 0.3
 
 
-def swinging(recording):
-    """The ball hangs on a thread."""
-    data = recording.data()
+def on_a_thread(data):
     time_s = data.stamps_s[:, None]
     return replace(data, z=data.z + 0.01 * np.sin(7.0 * time_s + [0.0, 1.0, 2.0]))
 
 
-def misnamed(recording):
-    """Two joints under each other's name."""
-    data = recording.data()
+def misnamed(data):
     return replace(data, joints_rad=data.joints_rad[:, [1, 0, 2, 3, 4, 5]])
 
 
-@each("spoilt", [swinging, misnamed])
+@each("spoilt", [on_a_thread, misnamed])
 def test_what_is_no_chain_shows(spoilt):
-    fit = fit_chain(spoilt(Recording(seconds=20.0, late_s=0.0, outliers=0.2)))
+    fit = fit_chain(spoilt(Recording(seconds=20.0, late_s=0.0, outliers=0.2).data()))
     assert fit.misfit > 2.0
 
 

@@ -24,16 +24,12 @@ def the_ball():
     return draw([(CENTRE, RADIUS_M)])
 
 
-def dark(rgb):
-    return (rgb * 0.12).astype(np.uint8)
-
-
 def pale(rgb):
     rgb[red(rgb)] = (0.35 * rgb[red(rgb)] + 0.65 * 220).astype(np.uint8)
     return rgb
 
 
-@each("spoil", [dark, pale])
+@each("spoil", [lambda rgb: (0.12 * rgb).astype(np.uint8), pale])
 def test_what_is_said_of_a_ball_too_dark_or_too_pale_helps(spoil):
     rgb, depth = the_ball()
     rgb = spoil(rgb)

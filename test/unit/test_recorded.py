@@ -59,21 +59,13 @@ def beside_zeros(stamp_s, joints):
     return [joint_states(stamp_s, stamp_s, ARM.names, joints), zeros]
 
 
-def unstamped(stamp_s, joints):
-    return [joint_states(stamp_s, None, ARM.names, joints)]
-
-
-def in_degrees(stamp_s, joints):
-    return [joint_states(stamp_s, stamp_s, ARM.names, np.degrees(joints))]
-
-
 @pytest.mark.parametrize(
     ("published", "words"),
     [
         (beside_zeros, "jumped by .* do two nodes publish joint states"),
         (in_halves, r"joint_states lacks .* it names"),
-        (unstamped, "joint_states has no stamp"),
-        (in_degrees, "no degrees|in degrees"),
+        (lambda _, q: [joint_states(1.0, None, ARM.names, q)], "joint_states has no stamp"),
+        (lambda t, q: [joint_states(t, t, ARM.names, np.degrees(q))], "no degrees|in degrees"),
     ],
 )
 def test_why_joint_states_cannot_be_used_is_said(tmp_path, capsys, published, words):
