@@ -7,28 +7,25 @@ from dataclasses import dataclass, field
 from fvs_detector_node.tags import Tag
 from fvs_ros.camera import CameraTopicsConfig
 from fvs_ros.kinds import KINDS, KindConfig
-from fvs_ros.params import Parameters, parameter
+from fvs_ros.params import Parameters, live_parameter, parameter
 
 
 @dataclass(frozen=True)
 class BallColour(Parameters):
     """Range of the ball's colour, in OpenCV's HSV units."""
 
-    hue: int = parameter(
+    hue: int = live_parameter(
         0,
         "middle of the ball's hues in half degrees: red 0, yellow 30, green 60, blue 120",
         0,
         179,
-        live=True,
     )
-    hue_width: int = parameter(10, "largest distance from hue, half degrees", 1, 89, live=True)
+    hue_width: int = live_parameter(10, "largest distance from hue, half degrees", 1, 89)
     # Low enough for the shaded side.
-    min_saturation: int = parameter(
-        110, "least saturation of the ball's colour; 0: grey", 0, 255, live=True
+    min_saturation: int = live_parameter(
+        110, "least saturation of the ball's colour; 0: grey", 0, 255
     )
-    min_value: int = parameter(
-        35, "least brightness of the ball's colour; 0: black", 0, 255, live=True
-    )
+    min_value: int = live_parameter(35, "least brightness of the ball's colour; 0: black", 0, 255)
 
 
 @dataclass(frozen=True)
@@ -45,20 +42,18 @@ class DetectorConfig(CameraTopicsConfig):
         "subscribe to the topics that end in /compressed (jpeg or png) and /compressedDepth (png), "
         "for a camera on another computer",
     )
-    ball_radius_m: float = parameter(
+    ball_radius_m: float = live_parameter(
         0.04,
         "radius of the ball; measure it: a wrong radius gives a wrong distance",
         0.005,
         0.5,
-        live=True,
     )
-    stamp_delay_s: float = parameter(
+    stamp_delay_s: float = live_parameter(
         0.0,
         "time from exposure to stamp of an image (negative: stamped early), subtracted from the "
         "ball's stamp; fvs_train estimates it",
         -0.5,
         0.5,
-        live=True,
     )
     colour: BallColour = field(default_factory=BallColour)
     tag: Tag = field(default_factory=Tag)

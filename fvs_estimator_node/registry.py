@@ -13,7 +13,7 @@ from fvs_estimator_node.online import LkfEstimator, RlsEstimator, UkfEstimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator
 from fvs_ros.joints import JOINT_PARAMETERS
 from fvs_ros.kinds import Kind, KindConfig
-from fvs_ros.params import Parameter, parameter
+from fvs_ros.params import Parameter, live_parameter, parameter
 
 ESTIMATORS: dict[str, type[Any]] = {
     "rbf": RbfEstimator,
@@ -31,11 +31,10 @@ ESTIMATORS: dict[str, type[Any]] = {
 class EstimatorConfig(KindConfig):
     """Parameters of the node; those of the methods are the estimators'."""
 
-    method: str = parameter(
+    method: str = live_parameter(
         "rbf",
         "how the Jacobian is estimated; changes only while the controller does not servo",
         choices=tuple(ESTIMATORS),
-        live=True,
     )
     model_path: str = parameter(
         "",

@@ -151,19 +151,18 @@ class SimNodeConfig(FeatureConfig):
         "other nodes then need use_sim_time",
     )
     tf_prefix: str = parameter("", "prefix of the joint names, like a UR driver's")
-    full_frame_rate_hz: float = parameter(
+    full_frame_rate_hz: float = live_parameter(
         30.0,
         "largest rate of full camera images in real time, Hz; each one occupies a core for tens of "
         "milliseconds",
         0.5,
         120.0,
-        live=True,
     )
     publish_ball_position: bool = parameter(
         True, "publish the ball position; false: images only, for a detector"
     )
-    program_running: bool = parameter(
-        True, "whether the robot program runs; false: it is paused and the arm stops", live=True
+    program_running: bool = live_parameter(
+        True, "whether the robot program runs; false: it is paused and the arm stops"
     )
     simulation: SimConfig = field(default_factory=SimConfig)
 
