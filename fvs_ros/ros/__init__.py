@@ -15,7 +15,6 @@ from fvs_ros.ros.messages import (
     from_stamp,
     from_status,
     message_class,
-    send_last_zeros,
     to_camera_info,
     to_chain,
     to_command,

@@ -14,9 +14,8 @@ import numpy as np
 from sensor_msgs.msg import CompressedImage, Image
 
 from fvs_ros.ros.messages import MessageError
+from fvs_ros.vectors import LARGEST
 
-#: Depth beyond this, or not finite, is no depth, m.
-MAX_DEPTH_M = 100.0
 #: Unit of whole-number depth, m, by REP 118.
 _DEPTH_UNIT_M = np.float32(1e-3)
 #: Largest side and number of pixels of an image that is decoded.
@@ -105,7 +104,7 @@ def from_depth(message: Image | CompressedImage) -> np.ndarray:
         return np.multiply(depth, _DEPTH_UNIT_M, dtype=np.float32)
     metres = depth.astype(np.float32)
     # Written so that NaN, too, is out.
-    metres[~((metres > 0.0) & (metres < MAX_DEPTH_M))] = 0.0
+    metres[~((metres > 0.0) & (metres < LARGEST))] = 0.0
     return metres
 
 
