@@ -14,13 +14,16 @@ from fvs_ros.timeline import MAX_BACKSTEP_S
 _STILL_S = 5.0
 #: Simulated time that advances by more at once has jumped, s.
 _JUMP_S = 1.0
-#: Periods are learned from the last stamps: from so many on, and from so many at most.
-_FEWEST, _MOST = 4, 51
+#: Count of stamps' steps from which on their median is the period; one may be odd.
+_FEWEST = 4
+#: Count of the last steps that it is taken of.
+_MOST = 51
 #: A joint state that has not come after this many periods is missing.
 MISSING_PERIODS = 2.5
-#: Shortest period, s: a watchdog at stamps of nanoseconds would never rest. And the longest: fewer
-#: joint states a second move no arm.
-_MIN_PERIOD_S, MAX_PERIOD_S = 1e-4, 0.05
+#: Shortest period, s: a watchdog at stamps of nanoseconds would never rest.
+_MIN_PERIOD_S = 1e-4
+#: Longest period, s: fewer joint states a second move no arm.
+MAX_PERIOD_S = 0.05
 
 
 class Pace:

@@ -25,7 +25,12 @@ from fvs_ros.vectors import all_finite
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
-_LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
+#: Count of the last zeros: a driver may lose one.
+_LAST_ZEROS = 5
+#: Time between them, s.
+_LAST_ZEROS_PERIOD_S = 0.01
+#: Longest wait until they have arrived, s.
+_LAST_ZEROS_ACK_S = 0.5
 #: Of a chain's message: axis, point and reference of a joint, and whether it is prismatic.
 _CHAIN_COLUMNS = 8
 _BALL = Ball()
