@@ -12,6 +12,7 @@ import numpy as np
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_ros.filter import Image
 from fvs_ros.track import Track
+from fvs_ros.vectors import all_finite
 
 #: Least motion of the fastest joint in a step, rad: it moves the ball by some millimetres, more
 #: than the noise of its position. Longest step, s: slow arms drift.
@@ -76,7 +77,7 @@ class EstimationLoop:
 
     def add_sliding_variable(self, stamp_s: float, sliding_m: np.ndarray) -> None:
         """Take the controller's sliding variable, m, (d,); the newest goes into coming steps."""
-        if np.all(np.isfinite(sliding_m)):
+        if all_finite(sliding_m):
             self._sliding = (stamp_s, sliding_m)
 
     # --- outputs ---
@@ -94,7 +95,7 @@ class EstimationLoop:
         if z is None and newest is not None:
             z = newest.z
         jacobian = self.estimator.jacobian(joints_rad, z)
-        if np.all(np.isfinite(jacobian)):
+        if all_finite(jacobian):
             self._jacobian = jacobian
         return jacobian
 

@@ -24,6 +24,7 @@ from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.paths import find_file
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
+from fvs_ros.vectors import all_finite
 
 #: Shortest time between two Jacobians, s: every second joint state at 125 Hz (16 ms), less a fifth
 #: for jitter.
@@ -176,7 +177,7 @@ class EstimatorNode(ros.FvsNode):
         if self._no_estimate():
             return
         jacobian = self._loop.jacobian(joints)
-        if not np.all(np.isfinite(jacobian)):
+        if not all_finite(jacobian):
             self._complain("the estimate is not finite and was not published; call ~/reset")
             return
         self._published_stamp_s = stamp_s

@@ -94,7 +94,7 @@ class Track:
 
     def _judge(self, sample: Sample) -> list[Image]:
         stamp_s, both, z, run = sample
-        joints_rad, moved_m = np.split(both, [-self.kind.size])
+        joints_rad, moved_m = both[: -self.kind.size], both[-self.kind.size :]
         last, newest_s = self._accepted, self.timeline.joints.newest_stamp_s
         assert newest_s is not None
         seen_m = moved_m if last is None else last.seen_m + self.kind.minus(z, last.z)

@@ -24,8 +24,8 @@ def largest(values: np.ndarray) -> float:
 
 
 def all_finite(values: np.ndarray) -> bool:
-    """Whether none of some numbers, shape (n,), is infinite or NaN."""
-    return all(map(isfinite, values.tolist()))
+    """Whether no number of an array is infinite or NaN."""
+    return all(map(isfinite, values.ravel().tolist()))
 
 
 def plausible(values: np.ndarray) -> bool:

@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Iterable, Mapping
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -69,6 +70,7 @@ def _stamped(message_type: type, stamp_s: float, frame: str) -> Any:
     return message
 
 
+@cache
 def message_class(name: str) -> type:
     """The class of a message type such as ``sensor_msgs/msg/JointState``."""
     module, _, of_type = name.rpartition("/")
@@ -139,7 +141,7 @@ def _from_matrix(message: Float64MultiArray, name: str, rows: int, columns: int)
             f"expected {rows * columns} values and dimensions [{rows}, {columns}]"
         )
     matrix = np.array(message.data, dtype=float).reshape(rows, columns)
-    if not np.all(np.isfinite(matrix)):
+    if not all_finite(matrix):
         raise MessageError(f"{name} holds a value that is not finite")
     return matrix
 
