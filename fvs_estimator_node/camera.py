@@ -140,8 +140,8 @@ class _BehindCamera(Estimator):
 
     def _rotated(self, motions: np.ndarray) -> np.ndarray:
         """Motions of points and directions, (3 k, n), as the camera sees them now."""
-        turned = self.camera.rotation @ motions.reshape(-1, 3, motions.shape[1])
-        return np.asarray(turned.reshape(motions.shape))
+        rotated = self.camera.rotation @ motions.reshape(-1, 3, motions.shape[1])
+        return np.asarray(rotated.reshape(motions.shape))
 
     def status_values(self) -> dict[str, float]:
         """Counts, how far the camera has been turned, and how often it was bumped."""

@@ -53,7 +53,7 @@ class CollectorConfig(MotionConfig, KindConfig, CommandInterface):
 
 
 #: A run keeps the values that it began with.
-PARAMETERS = tuple(replace(one, live=False) for one in CollectorConfig.declared())
+PARAMETERS = tuple(replace(item, live=False) for item in CollectorConfig.declared())
 
 
 class State(Enum):

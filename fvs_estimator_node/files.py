@@ -359,8 +359,8 @@ class _Content(dict[str, Any]):
     """The arrays of a file, with checks in words (ValueError)."""
 
     def __missing__(self, name: str) -> Any:
-        found = ", ".join(sorted(self)[:12]) or "nothing"
-        raise ValueError(f"lacks the field {name!r}; it holds {found}")
+        fields = ", ".join(sorted(self)[:12]) or "nothing"
+        raise ValueError(f"lacks the field {name!r}; it holds {fields}")
 
     def check(
         self, kind: str, joint_names: Sequence[str] | None, expected: KindConfig | None

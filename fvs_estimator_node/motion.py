@@ -111,13 +111,13 @@ class RandomMotion:
         acceleration = _TURNING_SHARE * config.max_joint_acceleration_rad_s2
         # In a narrow box a joint cannot reach the speed limit, so the shares refer to its reachable
         # speed.
-        sine_speed = np.sqrt(acceleration * half / _turn_factor(_SHARPNESS[0]))
+        sine_speed = np.sqrt(acceleration * half / _acceleration_factor(_SHARPNESS[0]))
         top = np.minimum(config.path_speed_rad_s, sine_speed)
         speed = top * _unequal_shares(half, top, rng)
         self._phase_rad = rng.uniform(0.0, 2.0 * math.pi, len(half))
         sharp = np.linspace(*_SHARPNESS, 500)
         allowed = acceleration * half / np.maximum(speed, 1e-9) ** 2
-        self._sharpness = k = np.interp(allowed, _turn_factor(sharp), sharp)
+        self._sharpness = k = np.interp(allowed, _acceleration_factor(sharp), sharp)
         self.rate_rad_s = speed * np.arcsin(k) / (np.where(half > 0.0, half, np.inf) * k)
 
     def path(self, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -185,7 +185,7 @@ def _unequal_shares(half_rad: np.ndarray, top: np.ndarray, rng: np.random.Genera
     return shares[np.diff(rates, axis=1).min(axis=1, initial=np.inf).argmax()]
 
 
-def _turn_factor(k: np.ndarray | float) -> np.ndarray:
+def _acceleration_factor(k: np.ndarray | float) -> np.ndarray:
     """Greatest acceleration of asin(k sin phase) times half width over the speed squared."""
     return np.arcsin(k) / (k * np.sqrt(1.0 - k * k))
 

@@ -86,9 +86,9 @@ def create_estimator(
 
 
 #: Parameters of the methods, each group once, in the order of the registry.
-_GROUPS = {kind.group: kind.config_type for kind in ESTIMATORS.values()}
+_GROUPS = {made_by.group: made_by.config_type for made_by in ESTIMATORS.values()}
 PARAMETERS: tuple[Parameter, ...] = (
     *EstimatorConfig.declared(),
     *JOINT_PARAMETERS,
-    *(one for name, kind in _GROUPS.items() for one in kind.declared(f"{name}.")),
+    *(item for group, config in _GROUPS.items() for item in config.declared(f"{group}.")),
 )

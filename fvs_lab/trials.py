@@ -133,7 +133,7 @@ class Bump:
 
     def strike(self, simulation: Simulation) -> None:
         """Move the camera."""
-        rotated = simulation.camera.turned(np.radians(self.rotation_deg))
+        rotated = simulation.camera.rotated(np.radians(self.rotation_deg))
         simulation.camera = rotated.moved(np.array(self.translation_m))
 
 

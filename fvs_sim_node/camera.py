@@ -26,8 +26,8 @@ class RigidPose:
         z_axis, x_axis = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
         return cls(eye, np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1))
 
-    def turned(self, rotation_rad: np.ndarray) -> RigidPose:
-        """The same turned about its origin by a rotation vector of its frame, rad, shape (3,)."""
+    def rotated(self, rotation_rad: np.ndarray) -> RigidPose:
+        """The same rotated about its origin by a rotation vector of its frame, rad, shape (3,)."""
         rotation = cv2.Rodrigues(np.asarray(rotation_rad, dtype=float))[0]
         return RigidPose(self.position_m, self.rotation @ rotation)
 
@@ -100,9 +100,9 @@ def add_depth_noise(
     np.rint(depth, out=depth)
     depth *= np.float32(1e-3)
 
-    luck = rng.random(depth.shape, dtype=np.float32)
-    lost |= luck < np.float32(scale * D435.dropout)
-    lost |= edge & (luck < np.float32(scale * D435.edge_dropout))
+    chance = rng.random(depth.shape, dtype=np.float32)
+    lost |= chance < np.float32(scale * D435.dropout)
+    lost |= edge & (chance < np.float32(scale * D435.edge_dropout))
     lost |= depth < 0.0
     depth[lost] = 0.0
     return depth

@@ -82,10 +82,10 @@ class Placement:
         size = np.array([intrinsics.width, intrinsics.height])
         for distance_m in np.geomspace(0.4, 4.0, 50):
             pose = RigidPose.looking(tuple(middle_m + distance_m * direction), tuple(middle_m))
-            seen_m = pose.to_own(balls_m)
+            in_camera_m = pose.to_own(balls_m)
             # A depth camera sees nothing closer; a tenth of the image stays empty at each edge.
-            if seen_m[:, 2].min() > 0.3:
-                shares = intrinsics.project(seen_m) / size
+            if in_camera_m[:, 2].min() > 0.3:
+                shares = intrinsics.project(in_camera_m) / size
                 if np.abs(shares - 0.5).max() < 0.4:
                     break
         return pose

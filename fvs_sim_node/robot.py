@@ -41,9 +41,9 @@ class Robot:
     @property
     def installed(self) -> bool:
         """Whether its URDF is here."""
-        return self._found() is not None
+        return self._path() is not None
 
-    def _found(self) -> Path | None:
+    def _path(self) -> Path | None:
         package, _, inside = self.urdf.partition("/")
         if package not in _PACKAGES:
             return find_file(self.urdf)
@@ -52,7 +52,7 @@ class Robot:
 
     def file(self) -> Path:
         """The URDF; a ``ValueError`` says which package to install."""
-        path = self._found()
+        path = self._path()
         if path is None:
             package, _, inside = self.urdf.partition("/")
             raise ValueError(f"robot: {inside} is not installed; run pip install {package}")

@@ -104,7 +104,7 @@ class Simulation:
         """
         self.config = self._actuator.config = config
         home = config.camera_pose or self.world.camera(config.camera)
-        self.camera = home.turned(np.radians(config.camera_rotation_deg))
+        self.camera = home.rotated(np.radians(config.camera_rotation_deg))
 
     def close(self) -> None:
         """Free the physics engine."""

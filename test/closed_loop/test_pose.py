@@ -46,7 +46,7 @@ def test_a_camera_that_is_turned_and_moved_costs_little_time():
     loop, target = loop_and_target("best")
     undisturbed_s = loop.period_s * np.flatnonzero(run(loop, target, 2.0)[1] > 0.005)[-1]
     loop, _ = loop_and_target("best")
-    camera = loop.simulation.camera.turned(np.radians([8.0, -12.0, 13.0]))
+    camera = loop.simulation.camera.rotated(np.radians([8.0, -12.0, 13.0]))
     loop.simulation.camera = camera.moved(np.array([0.06, -0.05, 0.06]))
     loop.run(0.3)
     target = loop.simulation.true_chain(loop.kind).position(GOAL_RAD)
