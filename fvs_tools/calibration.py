@@ -24,6 +24,8 @@ from fvs_tools.hand_eye import Estimate, solve
 GOOD, USABLE = (0.001, np.radians(0.1)), (0.01, np.radians(1.0))
 #: A joint that moves less, standard deviation in rad or m, is still.
 _STILL = 0.005
+#: A camera is further off, median, m; poses of the robot itself, rounded to 0.1 mm, are not.
+_LEAST_RESIDUAL_M = 5e-5
 #: Images that are this share of their spread off are not explained.
 _UNEXPLAINED = 0.2
 #: With a zero of this size, rad, the joint turns the other way, or is another.
@@ -112,6 +114,11 @@ def verdict(estimate: Estimate) -> tuple[str, str]:
         f"the camera is known to {1e3 * deviations[0]:.2g} mm and "
         f"{np.degrees(deviations[1]):.2g} degrees (standard deviation)"
     )
+    if estimate.median_residual_m < _LEAST_RESIDUAL_M:
+        return "unusable", (
+            f"{model.arm.tip} explains the {model.kind.what} better than any camera sees it: are "
+            "these poses that the robot computed? Name the topic of ball or tag"
+        )
     zeros_rad = np.where(model.arm.prismatic > 0.0, 0.0, np.abs(estimate.mean.zeros))
     if zeros_rad.max() > _OTHER_RAD:
         return "unusable", (
@@ -136,7 +143,7 @@ def _links(estimate: Estimate) -> str:
     """Which links differ from the URDF, if any."""
     if estimate.links_evidence < _SIGMAS:
         return ""
-    shifts_m = np.linalg.norm(estimate.mean.links.reshape(-1, 6)[:, 3:], axis=1)
+    shifts_m = np.linalg.norm(estimate.mean.links.reshape(-1, 6)[:, :3], axis=1)
     names = estimate.model.arm.names
     # Links that the images cannot tell apart share the shift.
     alike = np.flatnonzero(shifts_m > 0.5 * shifts_m.max())
@@ -180,14 +187,15 @@ def report(estimate: Estimate) -> str:
     position, quaternion = (
         ", ".join(f"{number:.5f}" for number in numbers) for numbers in _pose(estimate)
     )
+    late_ms = round(1e3 * mean.delay_s.item(), 1) + 0.0  # no -0.0
+    late = f"images stamped late: {late_ms:.1f} +- {1e3 * deviation.delay_s.item():.1f} ms"
     lines = [
         "",
         f"{word}: {reason}",
         f"{model.arm.root} to {model.data.feature_frame}: ({position}) m, "
         f"quaternion ({quaternion})",
         f"{model.kind.what} in {model.arm.tip}: {model.kind.text(estimate.target)}",
-        f"images stamped late: {round(1e3 * mean.delay_s.item(), 1) + 0.0:.1f} +- "  # no -0.0
-        f"{1e3 * deviation.delay_s.item():.1f} ms",
+        *([] if model.data.still else [late]),
         f"residual {1e3 * estimate.median_residual_m:.2f} mm (median); "
         f"{len(model.measured)} images, {estimate.outliers} outliers",
         *(f"note: {note}" for note in notes(estimate)),

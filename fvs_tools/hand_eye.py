@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
@@ -28,8 +29,8 @@ from fvs_tools.hand_eye_model import HandEyeModel, Unknowns, registration
 #: Prior standard deviations, in the units of the unknowns; of links the largest.
 _PRIOR = Unknowns(*np.array([1.0, 1.0, 0.1, 0.02, 0.02, 0.2, 0.05, 0.005, 0.01]))
 #: Shares of it by which links, and what else is not free, may be off, all as likely: links by
-#: 10 mm to 10 um. Half decades: with whole ones, half of the runs left their 95 % ellipsoid.
-_LINK_SHARES, _OTHER_SHARES = 10.0 ** np.arange(0.0, -3.5, -0.5), 10.0 ** np.arange(0.0, -2.5, -0.5)
+#: 10 mm to 10 um. With coarser steps, more runs leave their 95 % ellipsoid.
+_LINK_SHARES, _OTHER_SHARES = np.logspace(0.0, -3.0, 13), np.logspace(0.0, -2.0, 5)
 #: Deviation of what counts as exact.
 _EXACT = 1e-6
 #: Number of images in the search.
@@ -131,6 +132,8 @@ def solve(data: DataSet, arm: Kinematics) -> Estimate:
         values, covariance, good, evidence = _posterior(model, values)
     deviation = model.unknowns(np.sqrt(np.diag(covariance)))
     deviation.zeros[[0, -1]] = np.inf
+    if data.still:
+        deviation.delay_s[:] = np.inf
     return Estimate(
         model=model,
         values=values,
@@ -170,9 +173,14 @@ def _optimum(model: HandEyeModel) -> np.ndarray:
         errors = model.features(np.append(values, links), images) - measured
         return np.append(white @ errors[..., None], values / deviation)
 
+    def slopes(values: np.ndarray) -> np.ndarray:
+        rows = white @ model.slopes(np.append(values, links), images)[..., : values.size]
+        return np.vstack([rows.reshape(-1, values.size), np.diag(1.0 / deviation)])
+
     solution = least_squares(
         residuals,
         start[: deviation.size],
+        slopes,
         bounds=(-limit, limit),
         x_scale=deviation,
         loss="soft_l1",
@@ -229,10 +237,11 @@ def _posterior(
 def _normal(equations: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Mean, covariance and evidence of unknowns about zero with white linear equations.
 
-    Takes slopes and, as the last column, values; by singular values, as the units differ much.
+    Takes slopes and, as the last column, values. The evidence lacks a constant.
     """
-    left, sizes, right = np.linalg.svd(equations[:, :-1] * deviation, full_matrices=False)
-    components, shrink = equations[:, -1] @ left, 1.0 / (1.0 + sizes**2)
-    axes = deviation[:, None] * right.T
-    evidence = -0.5 * float(shrink @ components**2 + np.log1p(sizes**2).sum())
-    return axes @ (shrink * sizes * components), axes * shrink @ axes.T, evidence
+    size = deviation.size
+    scaled = np.vstack([equations * np.append(deviation, 1.0), np.eye(size, size + 1)])
+    triangle = np.asarray(np.linalg.qr(scaled, mode="r"))
+    axes = deviation[:, None] * solve_triangular(triangle[:size, :size], np.eye(size))
+    evidence = -0.5 * triangle[-1, -1] ** 2 - np.log(np.abs(np.diag(triangle)[:size])).sum()
+    return axes @ triangle[:size, -1], axes @ axes.T, float(evidence)

@@ -7,7 +7,7 @@ the focal length, k is the first coefficient of distortion.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -15,10 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.joint_path import Path
+from fvs_ros.chain import SerialChain, cross_matrix
 from fvs_ros.rotations import nearest_rotation
 from fvs_ros.urdf import Kinematics
 
-#: Step of the derivatives, in m, rad and shares.
+#: Step of the derivatives of what a lens shows, m; the others are exact.
 _STEP = 1e-6
 
 
@@ -33,7 +34,7 @@ class Unknowns(NamedTuple):
     radial: np.ndarray  # distortion k1 that camera_info lacks, (1,)
     zeros: np.ndarray  # to be added to each joint, rad (m), (n,)
     encoders: np.ndarray  # true motion of each joint over the reported one, less 1, (n,)
-    links: np.ndarray  # of each joint but the first: rotation times 0.5 m, and shift, m, (6 n - 6,)
+    links: np.ndarray  # of each joint but the first: shift, m, and rotation times 0.5 m, (6 n - 6,)
 
 
 #: Lever arm of a link's rotation, m.
@@ -92,41 +93,79 @@ class HandEyeModel:
 
     def at(self, reported_rad: np.ndarray, unknowns: Unknowns) -> np.ndarray:
         """What the camera shows, (k, m), at reported joints, rad (m), (k, n)."""
-        base_from_camera, target = self.poses(unknowns)
         joints = (1.0 + unknowns.encoders) * reported_rad + unknowns.zeros
-        arm, target = _displaced(self.arm, target, unknowns.links.reshape(-1, 6))
-        vectors = arm.chain(target).position(joints).reshape(len(joints), -1, 3)
-        vectors[:, 0] -= base_from_camera[:3, 3]
-        features = (vectors @ base_from_camera[:3, :3]).reshape(len(joints), -1)
-        lens = unknowns.focal.item(), unknowns.radial.item()
-        features = self.kind.through_lens(features, *lens)
-        features[:, :3] *= 1.0 + unknowns.scale
-        return features
+        return self._shown(self._chain(unknowns)[0].position(joints), unknowns)
 
-    def slopes(self, values: np.ndarray) -> np.ndarray:
-        """Derivatives of the features by the unknowns, (k, m, p)."""
-        here = self.features(values)
-        steps = [self.features(values + step) - here for step in _STEP * np.eye(values.size)]
-        return np.stack(steps, axis=-1) / _STEP
+    def _shown(
+        self, features: np.ndarray, unknowns: Unknowns, more: np.ndarray | float = 0.0
+    ) -> np.ndarray:
+        """What the camera reports of features, (k, m); with more of scale, focal and radial."""
+        scale, focal, radial = np.concatenate(unknowns[3:6]) + more
+        shown = self.kind.through_lens(features, focal, radial)
+        shown[:, :3] *= 1.0 + scale
+        return shown
+
+    def _chain(self, unknowns: Unknowns) -> tuple[SerialChain, np.ndarray]:
+        """Arm and target in the camera's frame, all joints at zero.
+
+        And the axes, in columns, along which camera, links and target are moved, (n + 1, 3, 3).
+        """
+        base_from_camera, target = self.poses(unknowns)
+        arm, links = self.arm, unknowns.links.reshape(-1, 6)
+        rotations = Rotation.from_rotvec(links[:, 3:] / _LINK_M).as_matrix()
+        first = base_from_camera[:3, :3].T
+        behind = np.array([*accumulate(rotations, np.matmul, initial=first)])  # each joint, (n,)
+        before = np.insert(behind, 0, first, axis=0)  # each joint, and the target
+        steps_m = np.diff(np.vstack([base_from_camera[:3, 3], arm.points_m, target[:3]]), axis=0)
+        steps_m[1:-1] += links[:, :3]
+        points_m = np.cumsum((before @ steps_m[..., None])[..., 0], axis=0)
+        axes, zero = (behind @ arm.axes[..., None])[..., 0], np.zeros(len(arm.names))
+        carried = np.append(points_m[-1], target[3:].reshape(-1, 3) @ behind[-1].T)
+        return SerialChain(axes, points_m[:-1], carried, zero, arm.prismatic), before
+
+    def slopes(self, values: np.ndarray, images: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Derivatives of the features by the unknowns, (k, m, p).
+
+        Camera, links and target move what is behind them by twists.
+        """
+        unknowns = self.unknowns(values)
+        (chain, frames), gears = self._chain(unknowns), 1.0 + unknowns.encoders
+        motion = self.path.joints_and_velocities(unknowns.delay_s.item())
+        reported, velocity = (part[images] for part in motion)
+        stages = np.arange(len(frames))
+        links_rad = unknowns.links.reshape(-1, 6)[:, 3:] / _LINK_M
+        target_rad = np.append(unknowns.target, np.zeros(3))[3:6]
+        turns = frames @ _left_jacobian(np.vstack([unknowns.camera[3:], links_rad, target_rad]))
+        about_m = np.vstack([np.zeros(3), chain.points_m[1:], chain.feature_m[:3]])
+        twists = np.zeros((len(frames), 6, len(frames), 6))
+        twists[stages, 3:, stages, :3] = frames
+        twists[stages, :3, stages, 3:] = turns
+        twists[stages, 3:, stages, 3:] = cross_matrix(about_m) @ turns
+        twists[0] *= -1.0  # what is seen moves against the camera
+        twists[1:-1, ..., 3:] /= _LINK_M
+        joints = gears * reported + unknowns.zeros
+        parts = chain.slopes(joints, twists.reshape(len(frames), 6, -1))
+        camera, links, target = np.split(parts.by_twist, [6, 6 * len(stages) - 6], axis=2)
+        delay_s = -parts.by_joint @ (gears * velocity)[..., None]
+        encoders = parts.by_joint * reported[:, None]
+
+        shown = self._shown(parts.feature_m, unknowns)
+        by_feature = [
+            (self._shown(parts.feature_m + step, unknowns) - shown) / _STEP
+            for step in _STEP * np.eye(shown.shape[1])
+        ]
+        # What is shown is linear in each of scale, focal length and distortion.
+        lens = [self._shown(parts.feature_m, unknowns, more) - shown for more in np.eye(3)]
+        moving = [camera, target[..., : self.kind.size], delay_s, parts.by_joint, encoders, links]
+        slopes = np.stack(by_feature, axis=-1) @ np.concatenate(moving, axis=2)
+        return np.insert(slopes, [7 + self.kind.size] * 3, np.stack(lens, axis=2), axis=2)
 
 
-def _displaced(
-    arm: Kinematics, target: np.ndarray, links: np.ndarray
-) -> tuple[Kinematics, np.ndarray]:
-    """Arm and target with the links turned and shifted; see :class:`Unknowns`."""
-    if not links.any():
-        return arm, target
-    carried = target.reshape(-1, 3)
-    points_m = np.vstack([arm.points_m, carried[0]])
-    directions = np.vstack([arm.axes, carried[1:]])
-    rotations = Rotation.from_rotvec(links[:, :3] / _LINK_M).as_matrix()
-    for i in range(len(links), 0, -1):  # from the tip: no joint has been moved yet
-        back, pivot_m = rotations[i - 1].T, points_m[i].copy()
-        points_m[i:] = (points_m[i:] - pivot_m) @ back + pivot_m + links[i - 1, 3:]
-        directions[i:] = directions[i:] @ back
-    n = len(arm.axes)
-    target = np.vstack([points_m[n:], directions[n:]]).ravel()
-    return replace(arm, axes=directions[:n], points_m=points_m[:n]), target
+def _left_jacobian(vectors_rad: np.ndarray) -> np.ndarray:
+    """How rotations turn further, rad, by their rotation vectors, (k, 3): (k, 3, 3)."""
+    angles = np.maximum(np.linalg.norm(vectors_rad, axis=1), 1e-9)[:, None, None]
+    k = cross_matrix(vectors_rad) / angles
+    return np.eye(3) + (1.0 - np.cos(angles)) / angles * k + (1.0 - np.sin(angles) / angles) * k @ k
 
 
 def registration(

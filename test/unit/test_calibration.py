@@ -11,6 +11,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from fvs_estimator_node.files import DataSet, save_data_set
+from fvs_estimator_node.joint_path import Path
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.paths import find_file
@@ -21,6 +22,7 @@ from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_tools import calibrate as program
 from fvs_tools.calibration import CalibrationError, calibrate, notes, static_transform
 from fvs_tools.calibration import verdict as verdict_of
+from fvs_tools.hand_eye_model import HandEyeModel, registration
 
 URDF = find_file("robots/ur5.urdf")
 ARM = kinematics(read_joints(URDF.read_text("utf-8")))
@@ -167,6 +169,17 @@ def test_a_link_that_is_off_is_named_and_widens_what_is_stated(on_arm):
     assert re.search(f"from {link}_joint the URDF is off by some (4|5)", reason)
 
 
+@pytest.mark.parametrize("feature", ["ball", "pose"])
+def test_slopes_are_those_of_the_features(feature):
+    data, size = collected(feature, seconds=2.0), 1e-5
+    model = HandEyeModel(data, Path(data), ARM, *registration(ARM, data.joints_rad, data.z))
+    values = np.random.default_rng(1).normal(0.0, 0.05, sum(model.sizes))
+    steps = size * np.eye(values.size)
+    changes = [model.features(values + step) - model.features(values - step) for step in steps]
+    expected = np.stack(changes, axis=-1) / (2.0 * size)
+    np.testing.assert_allclose(model.slopes(values), expected, atol=1e-3)
+
+
 def spoiled(field, change):
     data = collected(seconds=20.0)
     return replace(data, **{field: change(getattr(data, field))})
@@ -203,6 +216,12 @@ def test_what_is_unusable_is_named(change, arm, words):
     word, reason = verdict_of(calibrate(spoiled("joints_rad", change), arm))
     assert word == "unusable"
     assert re.search(words, reason)
+
+
+def test_poses_that_the_robot_computed_are_no_images():
+    data = spoiled("z", lambda z: ARM.tip_at(collected(seconds=20.0).joints_rad)[1].round(4))
+    reason = verdict_of(calibrate(data, ARM))[1]
+    assert "better than any camera sees it: are these poses that the robot computed" in reason
 
 
 def test_a_camera_that_the_motion_does_not_tell_is_unusable():
