@@ -25,7 +25,7 @@ GOOD, USABLE = (0.001, np.radians(0.1)), (0.01, np.radians(1.0))
 #: A joint that moves less, standard deviation in rad or m, is still.
 _STILL = 0.005
 #: A camera is further off, median, m; poses of the robot itself, rounded to 0.1 mm, are not.
-_LEAST_RESIDUAL_M = 5e-5
+_LEAST_RESIDUAL_M = 6e-5
 #: Images that are this share of their spread off are not explained.
 _UNEXPLAINED = 0.2
 #: With a zero of this size, rad, the joint turns the other way, or is another.
