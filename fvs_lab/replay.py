@@ -24,7 +24,6 @@ from fvs_ros.kinds import KINDS, Kind, kind_of
 from fvs_ros.status import SILENT_S, vector
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_ros.vectors import plausible
-from fvs_tools.bag import TYPES
 from fvs_tools.bag_reader import BagError, open_bag
 from fvs_tools.demo import table
 from fvs_tools.scenario import read_yaml
@@ -141,8 +140,7 @@ def read(path: Path, namespace: str | None = None) -> Recording:
         chosen = [each for each in reader.connections if (each.topic, each.msgtype) in key_of]
         arrivals_s, statuses = list[float](), list[Status]()
         rows_of: dict[str, list[tuple[float, np.ndarray]]] = {}
-        for connection, time_ns, raw in reader.messages(chosen):
-            message = TYPES.deserialize_cdr(raw, connection.msgtype)
+        for connection, time_ns, message in reader.decoded(chosen):
             key, arrival_s = key_of[connection.topic, connection.msgtype], time_ns * 1e-9
             arrivals_s.append(arrival_s)
             if key == "status":

@@ -18,7 +18,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2.storage_mcap import McapReader, Schema, zstd
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-from fvs_tools.bag import NOTES
+from fvs_tools.bag import NOTES, TYPES
 from fvs_tools.scenario import read_yaml_file
 
 _METADATA, _MCAP, _SQLITE = "metadata.yaml", ".mcap", ".db3"
@@ -62,6 +62,18 @@ class BagReader:
                 packed = bytes(raw[:4]) == _ZSTD
                 messages.append((connection, time_ns, zstd.decompress(raw) if packed else raw))
         return sorted(messages, key=lambda message: message[1])
+
+    def decoded(
+        self, connections: Collection[Connection] | None = None
+    ) -> Iterator[tuple[Connection, int, Any]]:
+        """The same with each message's content; a damaged one is passed over as if cut off."""
+        for connection, time_ns, raw in self.messages(connections):
+            try:
+                message = TYPES.deserialize_cdr(raw, connection.msgtype)
+            except Exception:  # what damaged bytes raise is not documented
+                self.cut_off = True
+            else:
+                yield connection, time_ns, message
 
 
 @contextmanager

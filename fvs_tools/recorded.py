@@ -17,7 +17,6 @@ from fvs_ros.kinds import KINDS, Kind
 from fvs_ros.ros import from_feature, from_stamp
 from fvs_ros.timeline import History, Sample, Timeline
 from fvs_ros.topics import JOINT_STATES
-from fvs_tools.bag import TYPES
 from fvs_tools.bag_reader import open_bag
 
 #: Kinds by the type of their message.
@@ -55,10 +54,10 @@ def read_data_set(
         feature = _topic(types, feature, [*_KINDS], [topic.name for topic in tools])
         wanted = [each for each in reader.connections if each.topic in (joints, feature)]
         messages = [
-            (connection.topic == joints, TYPES.deserialize_cdr(raw, connection.msgtype))
-            for connection, _, raw in reader.messages(wanted)
+            (connection.topic == joints, message)
+            for connection, _, message in reader.decoded(wanted)
         ]
-        notes = ["the bag was cut off, or a part of it is missing"] * reader.cut_off
+        notes = ["the bag was cut off, or a part of it is missing or damaged"] * reader.cut_off
     return _paired(messages, names, _KINDS[types[feature]], path, notes)
 
 

@@ -95,6 +95,8 @@ def _data_set(
         raise ValueError(f"line {np.isnan(stamps_s).argmax() + 2} lacks a {_STAMP}")
     has_joints, has_image = np.isfinite(joints[:, 0]), np.isfinite(images[:, 0])
     joints, images, arm = joints[has_joints], images[has_image], None
+    if timed:  # a driver may wrap its joints at half a turn
+        joints = np.unwrap(joints, axis=0)
     if of_hand:
         arm, joints = _as_arm(joints)
     images = np.array([kind.parse(numbers) for numbers in images])

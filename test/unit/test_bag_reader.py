@@ -125,6 +125,16 @@ def test_a_file_that_is_broken_within_is_said_to_be_cut_off(tmp_path, whole):
     assert 0 < len(content(path, cut_off=True)) < len(whole)
 
 
+def test_a_message_whose_bytes_are_damaged_is_passed_over(tmp_path, whole):
+    path = by_another(tmp_path / "bag", whole, use_chunking=False)
+    raw = path.read_bytes()
+    _, _, message = whole[len(whole) // 2]
+    path.write_bytes(raw.replace(message, message[:12] + b"\xff\xff\xff\x7f" + message[16:], 1))
+    with open_bag(path) as reader:
+        assert len(list(reader.decoded())) == len(whole) - 1
+        assert reader.cut_off
+
+
 def test_a_database_without_metadata_is_cut_off_packed_or_not(tmp_path, whole):
     (path,) = without_metadata(packed(tmp_path / "bag", StoragePlugin.SQLITE3)).iterdir()
     assert content(path, cut_off=True) == whole

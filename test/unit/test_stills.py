@@ -115,6 +115,13 @@ def test_a_table_of_hand_poses_needs_no_urdf_and_no_common_clock(tmp_path):
     np.testing.assert_array_less(np.abs(estimate.mean.zeros), 1e-5)
 
 
+def test_joints_that_a_driver_wraps_go_on_in_a_table_of_motion(tmp_path):
+    path, joints_rad = tmp_path / "wrapped.csv", 3.0 + np.arange(0.0, 1.0, 0.01)
+    lines = [f"{0.05 * t:.2f},{np.angle(np.exp(1j * q))},1,2,3" for t, q in enumerate(joints_rad)]
+    path.write_text("\n".join(["stamp_s,a,x,y,z", *lines]))
+    np.testing.assert_allclose(np.diff(read_table(path)[0].joints_rad[:, 0]), 0.01)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
