@@ -318,7 +318,7 @@ def main(argv: list[str]) -> int:
         why = f"cannot write to {out}: {error.strerror}; name another folder by --out"
     else:
         if recording.cut_off:
-            print("The bag was cut off: the end of the run, with the final stop, is missing.")
+            print("The bag was cut off or damaged: messages are missing, perhaps the final stop.")
         notes = [
             f"set at {target.set_s - recording.start_s:.1f} s, {target.reason}" for target in judged
         ]
