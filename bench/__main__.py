@@ -1,7 +1,6 @@
 """Run the measurements of this folder in turn: ``python -m bench [NAME ...]``.
 
-What begins with a dash or holds a slash is handed on to the one that is named: ``python -m bench
-NAME --option``.
+A folder, with a slash, is for the one that is named: ``python -m bench NAME ./FOLDER``.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from fvs_ros.arguments import unknown
+from fvs_ros.arguments import Parser, unknown
 
 
 def names() -> list[str]:
@@ -19,22 +18,20 @@ def names() -> list[str]:
     return sorted(path.stem[len("bench_") :] for path in Path(__file__).parent.glob("bench_*.py"))
 
 
-def main(arguments: list[str]) -> int:
+def main(argv: list[str]) -> int:
     """Run the named measurements, or all; the exit code tells whether all of them finished."""
-    own = next(
-        (i for i, word in enumerate(arguments) if word[0] == "-" or "/" in word), len(arguments)
-    )
-    wanted, options = arguments[:own], arguments[own:]
-    known = names()
-    if options and len(wanted) != 1:
-        print(f"name one measurement before {options[0]}: {', '.join(known)}", file=sys.stderr)
-        return 2
+    parser, known = Parser("python -m bench", __doc__), names()
+    parser.add_argument("words", nargs="*", metavar="NAME", help=f"of {', '.join(known)}")
+    words = parser.parse_args(argv).words
+    folders = [word for word in words if "/" in word]
+    wanted = [word for word in words if word not in folders]
+    if folders and len(wanted) != 1:
+        parser.error(f"name one measurement for {folders[0]}")
     for name in wanted:
         if name not in known:
-            print(unknown("measurement", name, known), file=sys.stderr)
-            return 2
+            parser.error(unknown("measurement", name, known))
     failed = []
-    sys.argv[1:] = options
+    sys.argv[1:] = folders
     for name in wanted or known:
         print(f"== {name}", flush=True)
         start_s = time.perf_counter()
