@@ -324,7 +324,7 @@ def checked_output(
     try:
         output = propose()
         for name, value, count in zip(output._fields, output, counts, strict=True):
-            if value.shape != (count,) or not all_finite(value):
+            if np.shape(value) != (count,) or not all_finite(np.asarray(value)):
                 raise ValueError(f"its {name} is {value}")
     except Exception as error:  # whatever a law does wrong
         return Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}"), None

@@ -206,12 +206,15 @@ class TurnedRbfEstimator(_BehindCamera):
 
         Directions say nothing before the camera's rotation is known.
         """
-        step = np.full(1, np.inf) if self._joints is None else joints_rad - self._joints
-        if largest(step) > _LONGEST_RAD:
-            # At first, or after a loss: the sum goes on from where the feature is seen.
+        if self._joints is None:
             self._sum_m = self.camera.rotation.T @ (z[:3] - self.camera.translation_m)
         else:
-            self._sum_m = self._sum_m + self._model.jacobian(joints_rad - 0.5 * step)[:3] @ step
+            # The way between two images does not matter: of a long one the straight line will do.
+            step = joints_rad - self._joints
+            parts = max(1, math.ceil(largest(step) / _LONGEST_RAD))
+            for middle in (np.arange(parts) + 0.5) / parts:
+                jacobian = self._model.jacobian(self._joints + middle * step)
+                self._sum_m = self._sum_m + jacobian[:3] @ step / parts
         self._joints = joints_rad
         self.camera.add(self._sum_m, z[:3], noise_m)
         self.updates += 1

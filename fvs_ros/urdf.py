@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping
@@ -23,11 +24,9 @@ _LOOSE = ("floating", "planar")
 _KNOWN = ("link", "joint", "material")
 #: Standard names of the link that carries a tool (REP 199).
 _TIPS = ("tool0", "flange")
-#: How to get what is read, unquoted and whole.
-_DRIVERS = "`ros2 param get --hide-type /robot_state_publisher robot_description`"
 _XACRO = (
     "this is a xacro, not a URDF: expand it by `ros2 run xacro xacro FILE > arm.urdf`, or take "
-    f"the driver's: {_DRIVERS}"
+    "the driver's: `ros2 param get --hide-type /robot_state_publisher robot_description`"
 )
 
 
@@ -60,22 +59,22 @@ class UrdfJoint:
 def read_robot(source: str | bytes) -> ET.Element:
     """The links, joints and materials of a URDF, as text or as the bytes of a file.
 
-    It is read as ROS reads it, so without regard to namespaces; something may stand before or after
-    it. A ``ValueError`` says what else it is.
+    It is read as ROS reads it, so without regard to namespaces, and also as people save it: in
+    UTF-16 or Latin-1, with something before or after it, or as ``ros2 param get`` and ``ros2 topic
+    echo`` print it. A ``ValueError`` says what else it is.
     """
-    text = source.decode("utf-8-sig", "replace") if isinstance(source, bytes) else source
-    text = text[text.find("<") : text.rfind(">") + 1]
-    # Names and numbers are ASCII, and a comment may stand before the declaration.
-    text = re.sub(r"<\?xml\s[^>]*\?>", "", text, count=1)
+    text = _decoded(source) if isinstance(source, bytes) else source
+    whole = "<" not in text or "</robot>" in text
+    # The encoding is known by now, and a comment may stand before the declaration.
+    text = re.sub(r"<\?xml\s[^>]*\?>", "", _unquoted(text), count=1)
     builder, parser = ET.TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     parser.StartDoctypeDeclHandler = _refuse_doctype
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
-        raise ValueError(
-            f"the URDF is no XML: {error}; is it cut off or quoted? Save it by {_DRIVERS}"
-        ) from None
+        cut = "; it has no </robot>: is it cut off? `ros2 topic echo` needs --full-length"
+        raise ValueError(f"the URDF is no XML: {error}{'' if whole else cut}") from None
     root = builder.close()
     if root.tag != "robot":
         raise ValueError(f"a URDF has one <robot>, got <{root.tag[:40]}>")
@@ -97,6 +96,31 @@ def read_robot(source: str | bytes) -> ET.Element:
 def _refuse_doctype(name: str, *_: object) -> NoReturn:
     # A few lines of one can expand beyond any memory.
     raise ValueError(f"the URDF has a DOCTYPE ({name[:40]}), which is not taken")
+
+
+def _decoded(data: bytes) -> str:
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16", "replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:  # names and numbers are ASCII; comments may not be
+        return data.decode("latin-1")
+
+
+def _unquoted(text: str) -> str:
+    """From the first tag to the last, without the quotes of the YAML around it."""
+    start, end = text.find("<"), text.rfind(">") + 1
+    before, body = text[start - 1 : start], text[start:end]
+    if before == "'":
+        return body.replace("''", "'")
+    if before == '"':
+        folded = re.sub(r"\\\n\s*\\?", "", body)
+        as_json = re.sub(r"\\x(?=..)", r"\\u00", folded)  # the other escapes are JSON's
+        try:
+            return str(json.loads(f'"{as_json}"', strict=False))
+        except ValueError as error:
+            raise ValueError(f"the URDF is no quoted text: {error}") from None
+    return body
 
 
 def read_joints(source: str | bytes | ET.Element) -> dict[str, UrdfJoint]:

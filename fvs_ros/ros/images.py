@@ -77,7 +77,8 @@ def from_color(message: Image | CompressedImage) -> np.ndarray:
     if pixels.dtype == np.uint16:
         if pixels.max() < 2**12:  # 16 grey levels would remain
             raise MessageError(
-                f"{encoding} image leaves the highest 4 of 16 bits empty; set the camera to 8 bits"
+                f"{encoding} image leaves the highest 4 of 16 bits empty: uncover the lens, or set "
+                "the camera to 8 bits"
             )
         pixels = (pixels >> 8).astype(np.uint8)
     pixels = pixels.reshape(rows, width, channels)

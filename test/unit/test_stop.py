@@ -17,6 +17,7 @@ HARMLESS |= {"SIGTSTP", "SIGTTIN", "SIGTTOU"}
 CODE = """
 import os, signal, sys
 from fvs_ros import stop
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it
 for number in map(int, sys.argv[1:]):
     child = os.fork()
     if not child:
