@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import math
+import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
+from itertools import pairwise
 from typing import Any
 
 import rclpy
@@ -20,6 +22,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.parameter import parameter_dict_from_yaml_file
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
@@ -69,11 +72,22 @@ def _is_declared(name: str) -> bool:
     return False
 
 
+def _given_by_name(node: str) -> set[str]:
+    """Parameters that a parameter file gives to a node by its name, not to all."""
+    names = set[str]()
+    for flag, path in pairwise(sys.argv):
+        for key in (node, f"/{node}", f"/**/{node}") if flag == "--params-file" else ():
+            with contextlib.suppress(RuntimeError):  # it has no such section
+                names |= parameter_dict_from_yaml_file(path, target_nodes=[key]).keys()
+    return names
+
+
 class FvsNode(Node):
     """A node with declared parameters, watched inputs and diagnostics.
 
-    A parameter given at start that no node has, or with a wrong value, is a ``ParameterError``. One
-    of other nodes is left to them: a file may serve all.
+    A parameter given at start that no node has, or with a wrong value, is a ``ParameterError``, and
+    so is one of another node under this node's name. Of what a file gives to all nodes, that of
+    others is left to them.
     """
 
     #: Set to end the process with this exit code.
@@ -112,6 +126,8 @@ class FvsNode(Node):
         }
         own = self.parameter_set
         others = [name for name in overrides if name not in own and _is_declared(name)]
+        if others:
+            own.checked(dict.fromkeys(_given_by_name(self._declared_name).intersection(others)))
         values = own.values({n: v for n, v in overrides.items() if n not in others})
         if others:
             self.tell(OK, f"parameters of other nodes are left to them: {', '.join(others)}")

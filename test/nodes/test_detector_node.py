@@ -161,10 +161,10 @@ def test_another_cameras_names_compressed_and_lossy_images_and_late_stamps(ros_t
     assert min(ahead_s, camera.period_s - ahead_s) < 1e-5
 
 
-def start_with_file(ros_test, **parameters):
-    """A detector with a file of all nodes' parameters."""
+def start_with_file(ros_test, section="/**", **parameters):
+    """A detector with a file of parameters, of all nodes or of one."""
     file = ros_test.folder / "all.yaml"
-    file.write_text(f"/**: {{ros__parameters: {json.dumps(parameters)}}}\n")
+    file.write_text(f"{section}: {{ros__parameters: {json.dumps(parameters)}}}\n")
     return ros_test.start(NODE, "--ros-args", "--params-file", str(file))
 
 
@@ -172,6 +172,9 @@ def test_a_file_of_all_nodes_may_hold_what_any_node_has_and_nothing_else(ros_tes
     detector = start_with_file(ros_test, tf_prfix="left_")
     assert ros_test.wait(detector) == 2
     assert "unknown parameter 'tf_prfix'" in ros_test.output(detector)
+    detector = start_with_file(ros_test, "/**/fvs_detector_node", tf_prefix="left_")
+    assert ros_test.wait(detector) == 2
+    assert "unknown parameter 'tf_prefix'" in ros_test.output(detector)
 
 
 def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
