@@ -1,7 +1,8 @@
 """Radial basis function networks, one per Jacobian column, and their online update.
 
-The paper's equations: features (8), columns (9), update law (17). As its stability proof needs it,
-the sliding term enters with a plus. The leak, which forgets the training, is left out.
+The paper's equations: features (8), columns (9), update law (17) with the corrections that make
+its stability proof hold: the sliding term enters with a plus, and the leak pulls toward the
+offline weights rather than toward zero.
 """
 
 from __future__ import annotations
@@ -92,6 +93,12 @@ class RbfConfig(Parameters):
         -10.0,
         10.0,
     )
+    k3: float = parameter(0.0, "Leak toward the rest weights, 1/s.", 0.0, 100.0)
+    leak_target: str = parameter(
+        "offline",
+        "Rest weights of the leak: those of the model, or zero as in the paper.",
+        choices=("offline", "zero"),
+    )
     mu: float = parameter(
         0.5,
         "Largest share of the prediction error that one step may correct; stable below 2.",
@@ -154,9 +161,9 @@ class RbfEstimator(FrozenRbfEstimator):
     """The networks with the paper's online update (17) of their weights.
 
     With e = x_dot - J r_dot, the weights of feature j of network i change by
-    ``Gamma r_dot_i theta_i (n1 e_j + alpha2 s_j)``, integrated over the step, with Gamma reduced
-    where ``Gamma n1 dt sum_i r_dot_i^2 |theta_i|^2`` would exceed ``mu``. (The proof holds for any
-    positive Gamma, but not for an overshooting step.)
+    ``Gamma r_dot_i theta_i (n1 e_j + alpha2 s_j) - k3 (W_ij - W0_ij)``, integrated over the step:
+    the leak exactly, the rest with Gamma reduced where ``Gamma n1 dt sum_i r_dot_i^2 |theta_i|^2``
+    would exceed ``mu``. (The proof holds for any positive Gamma, but not for an overshooting step.)
     """
 
     learns = True
@@ -180,6 +187,10 @@ class RbfEstimator(FrozenRbfEstimator):
             drive = share * step.dt_s * (config.n1 * error + config.alpha2 * step.sliding_variable)
             drive = self.kind.from_tangent(step.z, drive)
             weights = self.weights + drive[None, :, None] * regressor[:, None, :]
+            if config.k3 > 0.0:
+                offline = self.model.weights * self.kind.weights[:, None]
+                rest = 0.0 if config.leak_target == "zero" else offline
+                weights -= -math.expm1(-config.k3 * step.dt_s) * (self.weights - rest)
         if not (step.dt_s > 0.0 and math.isfinite(np.vdot(weights, weights))):
             self.refused += 1
             return

@@ -30,6 +30,23 @@ def weights_of():
 # --- (16), (17) ---
 
 
+def leaked(k3: float, seconds: float, target: str) -> float:
+    """Relative error of a Jacobian that was exact, after a rest at one place."""
+    model, _ = weights_of()
+    config = RbfConfig(k3=k3, leak_target=target)
+    estimator, joints = RbfEstimator(model, config), np.full(6, 0.2)
+    wanted = estimator.jacobian(joints)
+    for k in range(round(seconds * 25.0)):
+        estimator.update(MotionStep(0.04 * k, 0.04, joints, np.zeros(6), np.zeros(3)))
+    return float(np.linalg.norm(estimator.jacobian(joints) - wanted) / np.linalg.norm(wanted))
+
+
+def test_a_leak_to_zero_forgets_the_training_at_rest_and_one_to_w0_does_not():
+    assert leaked(0.01, 10.0, "zero") == pytest.approx(1.0 - math.exp(-0.1), abs=1e-6)
+    assert leaked(0.01, 60.0, "zero") == pytest.approx(1.0 - math.exp(-0.6), abs=1e-6)
+    assert leaked(0.01, 60.0, "offline") < 1e-12
+
+
 def test_below_a_half_sigma_makes_the_command_of_16_grow_at_the_surface():
     def pull(s: float, sigma: float) -> float:
         return 0.067 * s ** (2.0 * sigma - 1.0)

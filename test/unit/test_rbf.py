@@ -1,7 +1,10 @@
 """The networks' update law, (17), by hand and by its Lyapunov function."""
 
+import math
+
 import numpy as np
 import pytest
+from cases import each
 from recordings import random_networks
 
 from fvs_estimator_node.base import MotionStep
@@ -18,9 +21,10 @@ def random_step(rng, model=None, weights=None, sliding=False, dt_s=0.04):
     return MotionStep(1.0, dt_s, joints, d_joints, d_ball, s)
 
 
-def test_the_update_is_equation_17_by_hand():
+@each("target", ["offline", "zero"])
+def test_the_update_is_equation_17_by_hand(target):
     model, rng = random_networks(), np.random.default_rng(2)
-    config = RbfConfig(n1=0.4, alpha2=0.2, mu=1.9)
+    config = RbfConfig(n1=0.4, alpha2=0.2, k3=0.05, leak_target=target, mu=1.9)
     estimator = RbfEstimator(model, config)
     for _ in range(3):
         step = random_step(rng, sliding=True)
@@ -35,7 +39,10 @@ def test_the_update_is_equation_17_by_hand():
         for i in range(6):
             for j in range(3):
                 drive = config.n1 * e[j] + config.alpha2 * step.sliding_variable[j]
-                expected[i, j] = before[i, j] + step.dt_s * v[i] * theta[i] * drive
+                rest = model.weights[i, j] if target == "offline" else 0.0
+                kept = math.exp(-config.k3 * step.dt_s)
+                expected[i, j] = rest + kept * (before[i, j] - rest)
+                expected[i, j] += step.dt_s * v[i] * theta[i] * drive
         estimator.update(step)
         np.testing.assert_allclose(estimator.weights, expected, rtol=1e-9, atol=1e-12)
 
