@@ -255,6 +255,8 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Sighting:
     if fit is None or fit.on_outline < ACCEPT.on_outline:
         return miss
     ball = _measured(patch, coloured, rays, fit, radius_m)
+    if ball.visible_fraction < ACCEPT.quality:
+        return Sighting(None, f"only {ball.visible_fraction:.0%} of the ball is visible", box)
     return miss if ball.quality < ACCEPT.quality else ball
 
 
