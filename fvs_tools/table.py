@@ -9,6 +9,7 @@ leave the other's cells empty: then the arm is interpolated to the images.
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import repeat
@@ -46,21 +47,30 @@ def read_table(path: Path) -> tuple[DataSet, Kinematics | None]:
     """
     try:
         return _data_set(path.name, *_read(path))
-    except ValueError as error:
-        raise ValueError(f"{path}: {' '.join(str(error).split())[:400]}") from None
+    except (ValueError, csv.Error) as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
 def _read(path: Path) -> tuple[list[str], np.ndarray]:
     """The columns' names, and the numbers, NaN for an empty cell."""
-    head, *lines = path.read_text("utf-8-sig").replace('"', "").strip().split("\n")
-    names = [name.strip() for name in head.split(",")]
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = file.read().rstrip().splitlines()
+    names, *lines = [*csv.reader(rows, skipinitialspace=True)] or [[]]
+    names = [name.strip() for name in names]
     if len(set(names)) < len(names):
         raise ValueError("the first line names a column twice")
-    if not lines:
-        raise ValueError("there is no line below the names of columns")
-    table = np.genfromtxt(lines, delimiter=",", ndmin=2)
-    if table.shape[1] != len(names):
-        raise ValueError(f"line 2 has {table.shape[1]} cells, the first {len(names)}")
+    table = np.full((len(lines), len(names)), np.nan)
+    for number, line in enumerate(lines):
+        if len(line) != len(names):
+            raise ValueError(f"line {number + 2} has {len(line)} cells, the first {len(names)}")
+        for column, cell in enumerate(line):
+            try:
+                table[number, column] = float(cell.strip() or "nan")
+            except ValueError:
+                raise ValueError(
+                    f"line {number + 2}, column {names[column][:60]}: expected a number, got "
+                    f"{cell[:60]!r}"
+                ) from None
     return names, table
 
 
@@ -95,10 +105,10 @@ def _data_set(
         raise ValueError(f"line {np.isnan(stamps_s).argmax() + 2} lacks a {_STAMP}")
     has_joints, has_image = np.isfinite(joints[:, 0]), np.isfinite(images[:, 0])
     joints, images, arm = joints[has_joints], images[has_image], None
-    if timed:  # a driver may wrap its joints at half a turn
-        joints = np.unwrap(joints, axis=0)
     if of_hand:
         arm, joints = _as_arm(joints)
+    elif timed:  # a driver may wrap its joints at half a turn
+        joints = np.unwrap(joints, axis=0)
     images = np.array([kind.parse(numbers) for numbers in images])
     timeline, samples = Timeline(), list[Sample]()
     of_arm = zip(stamps_s[has_joints].tolist(), repeat(timeline.add_joints), joints)

@@ -132,12 +132,13 @@ def test_joints_that_a_driver_wraps_go_on_in_a_table_of_motion(tmp_path):
         ("a,x,y,z\n1,2,,4", "line 2 lacks a number"),
         ("a,x,y,z\n1,2,3,4\ninf,2,3,4", "line 3 lacks a number of a"),
         ("stamp_s,a,x,y,z\n1,1,2,3,4\n,1,2,3,4", "line 3 lacks a stamp_s"),
-        ("a,x,y,z,image\n1,2,3,4,a.png", "line 2 lacks a number of a, image"),
-        ("a,x,y,z\n1,2,3,4\n1,2", "got 2 columns instead of 4"),
+        ("a,x,y,z,image\n1,2,3,4,a.png", "column image: expected a number"),
+        ("a,x,y,z\n1,2,3,4\n1,2", "line 3 has 2 cells"),
+        ("stamp_s,a,x,y,z\n1,1,2,3,4\n2,l.5,,,", "line 3, column a: expected a number"),
         ("a,x,y,z\n1,2,3,4\n2,,,", "1 of 1 images"),
         ("a,x,y,z,qx,qy,qz,qw\n1,2,3,4,0,0,0,2", "is no pose"),
         ("stamp_s,a,x,y,z\n1,1,,,\n3,,1,1,1", "0 of 1 images"),
-        ("", "no line below"),
+        ("", "of a joint"),
     ],
 )
 def test_a_table_that_cannot_be_read_is_refused_in_words(tmp_path, text, words):
