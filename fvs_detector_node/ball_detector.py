@@ -112,7 +112,7 @@ def detect_ball(
     Returns
     -------
     Sighting
-        Without a detection if no ball is seen, or less than a third of it.
+        Without a detection if no ball is seen, or less than three tenths of it.
 
     Raises
     ------

@@ -12,7 +12,7 @@ import numpy as np
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_ros.filter import Image
 from fvs_ros.track import Track
-from fvs_ros.vectors import all_finite
+from fvs_ros.vectors import all_finite, largest
 
 #: Least motion of the fastest joint in a step, rad: it moves the ball by some millimetres, more
 #: than the noise of its position. Longest step, s: slow arms drift.
@@ -133,7 +133,7 @@ class EstimationLoop:
             self._anchor = image
             return None
         d_joints = image.joints_rad - anchor.joints_rad
-        if np.abs(d_joints).max() < _MIN_STEP_RAD:
+        if largest(d_joints) < _MIN_STEP_RAD:
             return None
         self._anchor = image
         sliding: np.ndarray | float = 0.0

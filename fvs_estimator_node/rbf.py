@@ -129,7 +129,7 @@ class FrozenRbfEstimator(Estimator):
     def __init__(self, model: RbfModel, config: Any = None, kind: Kind | None = None) -> None:
         super().__init__(kind)
         self.config: Any = config if config is not None else self.config_type()
-        self.model = model
+        self.model, self._offline = model, model.weights * self.kind.weights[:, None]
         self._offset, self._slope, self._curvature = _exponent_terms(model.centres, model.widths)
         self._theta, self._scratch = np.empty((2, self._offset.size))
         self.reset()
@@ -154,7 +154,7 @@ class FrozenRbfEstimator(Estimator):
         """Return to the trained weights and forget the counts."""
         super().reset()
         #: Present weights of the weighted numbers, m/rad, shape (n, m, k).
-        self.weights = self.model.weights * self.kind.weights[:, None]
+        self.weights = self._offline.copy()
 
 
 class RbfEstimator(FrozenRbfEstimator):
@@ -188,8 +188,7 @@ class RbfEstimator(FrozenRbfEstimator):
             drive = self.kind.from_tangent(step.z, drive)
             weights = self.weights + drive[None, :, None] * regressor[:, None, :]
             if config.k3 > 0.0:
-                offline = self.model.weights * self.kind.weights[:, None]
-                rest = 0.0 if config.leak_target == "zero" else offline
+                rest = 0.0 if config.leak_target == "zero" else self._offline
                 weights -= -math.expm1(-config.k3 * step.dt_s) * (self.weights - rest)
         if not (step.dt_s > 0.0 and math.isfinite(np.vdot(weights, weights))):
             self.refused += 1
