@@ -76,6 +76,12 @@ class SupervisorConfig(JointLimits, KindConfig):
         0.01,
         10.0,
     )
+    object_may_be_hidden_s: float = live_parameter(
+        0.0,
+        "How long the last place of an object that stood still counts while it is hidden, s.",
+        0.0,
+        60.0,
+    )
     jacobian_max_age_s: float = live_parameter(
         0.2, "Age above which the Jacobian is stale and the arm is held, s.", 0.01, 10.0
     )

@@ -9,7 +9,8 @@ import numpy as np
 
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import Finding, Reason
-from fvs_controller_node.target_motion import TargetMotion, Update
+from fvs_controller_node.target_motion import FollowedPath, Update
+from fvs_ros.filter import GATE_M, OUTLIER
 from fvs_ros.vectors import length
 
 #: A swing is a change of the error by this, m, above noise. Without one for this time, s, the error
@@ -132,10 +133,8 @@ class Goal:
     def __init__(self, config: SupervisorConfig) -> None:
         self._config = config
         self.progress = Progress()  #: of the error since the start, or since another target
-        self._motion = TargetMotion()  # of the target's path, m, (d,)
-        self._last: np.ndarray | None = None  # the target that was set last, (m,)
-        self._path_m = np.zeros(config.kind.size)  # its path up to there
-        self._now_m = self._path_m  # the path up to the target now
+        self._followed = FollowedPath(config.kind)
+        self._now_m = self._followed.path_m  # the path up to the target now
         self.moving = False  #: whether the target that was set last continues a motion
         self.target: np.ndarray | None = None  #: the target now, (m,)
         self.velocity_m_s: np.ndarray | None = None  #: the target's, (d,); None unless it moves
@@ -147,11 +146,20 @@ class Goal:
     def configure(self, config: SupervisorConfig) -> None:
         """Change the settings; a target that a new box leaves outside is dropped."""
         self._config = config
-        held = (self.target, self._last)
+        held = (self.target, self._followed.last)
         if any(target is not None and self._outside(target) for target in held):
-            self.target = self._last = None
-            self._motion.restart()
-            self.progress = Progress()  # the next target is another task, wherever it is
+            self.forget()
+
+    def forget(self) -> None:
+        """Have no target; the next one is another task, wherever it is."""
+        self.target = None
+        self._followed.forget()
+        self.progress = Progress()
+
+    def stands_still(self, now_s: float) -> bool:
+        """Whether the target does not move now, s, as far as its updates tell."""
+        _, _, velocity_m_s = self._followed.at(now_s)
+        return velocity_m_s is None or not velocity_m_s.any()
 
     def _refusal(self, target: np.ndarray, frame: str) -> str:
         """Why a target, (m,), is not accepted in this frame; empty if it is."""
@@ -179,33 +187,37 @@ class Goal:
         refusal = self._refusal(target, frame)
         if refusal:
             return False, f"target refused: {refusal}"
-        kind, target = self._config.kind, np.array(target, dtype=float)
-        path_m = self._path_m
-        if self._last is not None:
-            path_m = path_m + kind.minus(target, self._last)
-        update = self._motion.update(path_m, there_s, age_s)
+        target = np.array(target, dtype=float)
+        update = self._followed.add(target, there_s, age_s)
         if update is Update.OVERTAKEN:
             return True, "target ignored: a newer one has arrived"
-        self._last, self._path_m = target, path_m
+        path_m = self._followed.path_m
         self.moving = update is Update.CONTINUED
         self.progress.take_target(path_m, self._config, self.moving)
         if not self.moving:
             self._error_of, self._error_m = (None, None), None  # its direction is of another task
         self.target, self._now_m = target, path_m
-        return True, f"target set to {kind.text(target)}"
+        return True, f"target set to {self._config.kind.text(target)}"
 
     def track(self, now_s: float) -> None:
         """Update a moving target to now, s; outside the workspace it stays at its last position."""
-        now, self.velocity_m_s = self._motion.at(now_s), None
-        if now is None:
-            self.target, self._now_m = self._last, self._path_m
-            return
-        assert self._last is not None
-        target, gone_m = self._last, now.position_m - self._path_m
-        if gone_m.any():
-            target = self._config.kind.retract(target, gone_m)
-        if not self._outside(target):
-            self.target, self.velocity_m_s, self._now_m = target, now.velocity_m_s, now.position_m
+        target, now_m, self.velocity_m_s = self._followed.at(now_s)
+        if target is None or not self._outside(target):
+            self.target, self._now_m = target, now_m
+        else:
+            self.velocity_m_s = None
+
+    def off_m(self, target: np.ndarray, there_s: float) -> np.ndarray | None:
+        """How far a measured target, (m,), is from where it was expected then, s, m, (d,).
+
+        None where nothing was expected, or where that is within its noise.
+        """
+        expected, _, _ = self._followed.at(there_s)
+        if expected is None:
+            return None
+        off_m = self._config.kind.minus(target, expected)
+        least_m = OUTLIER * self._followed.noise_m + GATE_M
+        return off_m if length(off_m) > len(off_m) ** 0.5 * least_m else None
 
     def see(self, z: np.ndarray | None, dt_s: float, servoing: bool) -> None:
         """Take the feature after a tick, (m,); None if it is unknown."""

@@ -15,7 +15,7 @@ from fvs_ros.timeline import MAX_LATENCY_S
 from fvs_ros.vectors import LARGEST, plausible
 
 #: Inputs, by the names of their topics but for the feature.
-JOINT_STATES, FEATURE, JACOBIAN = "joint_states", "feature", "jacobian"
+JOINT_STATES, FEATURE, JACOBIAN, OBJECT = "joint_states", "feature", "jacobian", "object"
 SPEED_SCALING, ROBOT_DESCRIPTION = "speed_scaling", "robot_description"
 
 #: Largest age of a source's status, and duration of a conflict after the foreign command, s.
@@ -35,6 +35,10 @@ class InputMonitor:
 
     #: An input that comes slowly may be older, up to this, s.
     slow_s = 0.0
+    #: Whether it counts now.
+    needed = True
+    #: How much older it may be now, s.
+    spare_s = 0.0
 
     def __init__(
         self, config: SupervisorConfig, name: str, hint: str = "", limit: str = ""
@@ -83,10 +87,13 @@ class InputMonitor:
 
     def find(self, now_s: float) -> Finding | None:
         """Find what is wrong with this input now, if anything."""
+        if not self.needed:
+            return None
         age_s = self.age_s(now_s)
         limit, limit_s = self._limit, getattr(self.config, self._limit) if self._limit else inf
         if limit_s < self._periods_s:
             limit, limit_s = f"{_PERIODS:g} of its periods", self._periods_s
+        limit_s += self.spare_s
         stale = self._last_s is not None and age_s > limit_s
         if stale:
             self._streak = 0
@@ -124,13 +131,16 @@ class Inbox:
             JOINT_STATES: ("is the robot driver (or simulator) running?", "joint_states_max_age_s"),
             FEATURE: (f"is the {kind.what} in view, and the detector running?", "ball_max_age_s"),
             JACOBIAN: ("is the estimator running?", "jacobian_max_age_s"),
+            OBJECT: ("is the object in view, and its detector running?", "ball_max_age_s"),
             **dict.fromkeys((SPEED_SCALING, ROBOT_DESCRIPTION), ()),
         }
-        names = {FEATURE: kind.topics.tool.name}
+        names = {FEATURE: kind.topics.tool.name, OBJECT: kind.topics.object.name}
         self._monitors = {
             key: InputMonitor(config, names.get(key, key), *words) for key, words in hints.items()
         }
         self[FEATURE].slow_s = MAX_LATENCY_S  # longer, none is predicted
+        self[OBJECT].slow_s = MAX_LATENCY_S
+        self[OBJECT].needed = False
         self._conflict: Finding | None = None  # with another node, and when it commanded last
         self._conflict_s = -inf
         self._program_running: bool | None = None  # never reported
@@ -150,12 +160,12 @@ class Inbox:
     # ---- messages ---------------------------------------------------------------------------
 
     def add(self, name: str, now_s: float, values: np.ndarray) -> bool:
-        """Take joints, (n,), rad, feature, (m,), or Jacobian, (d, n); False if unusable."""
+        """Take joints, (n,), rad, feature or object, (m,), or Jacobian, (d, n); False if bad."""
         values, kind = np.asarray(values, dtype=float), self._config.kind
         n = len(self._config.joint_names)
-        shape = {JOINT_STATES: (n,), FEATURE: (kind.numbers,), JACOBIAN: (kind.size, n)}[name]
+        shape = {JOINT_STATES: (n,), JACOBIAN: (kind.size, n)}.get(name, (kind.numbers,))
         fits = values.shape == shape
-        if fits and plausible(kind.weights * values if name == FEATURE else values):
+        if fits and plausible(kind.weights * values if name in (FEATURE, OBJECT) else values):
             self[name].good(now_s)
             return True
         wanted = " x ".join(map(str, shape))
@@ -225,7 +235,7 @@ class Inbox:
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Ages and the robot's reports, always the same keys in the same order."""
-        watched = [self[name] for name in (JOINT_STATES, FEATURE, JACOBIAN)]
+        watched = [self[name] for name in (JOINT_STATES, FEATURE, JACOBIAN, OBJECT)]
         ages = {f"{monitor.name}_age_s": monitor.age_s(now_s) for monitor in watched}
         running = {None: "unknown", False: "false", True: "true"}[self._program_running]
         return {

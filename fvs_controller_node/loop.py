@@ -15,9 +15,10 @@ from fvs_controller_node.agreement import Agreement
 from fvs_controller_node.base import Change, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.config import ControllerConfig, SupervisorConfig, default_values, make_law
 from fvs_controller_node.drive_lag import DriveLag, brake
-from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES
-from fvs_controller_node.reasons import Finding, State
+from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES, OBJECT
+from fvs_controller_node.reasons import Finding, Reason, State
 from fvs_controller_node.redundancy import make_inverse
+from fvs_controller_node.relation import OBJECT_FRAME, Relation, Taught, Teacher
 from fvs_controller_node.supervisor import Command, Present, Supervisor, checked_output
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
@@ -62,6 +63,9 @@ class ServoLoop:
         self.kind = self.supervisor.config.kind
         self.track, self._agreement = Track(self.kind), Agreement()
         self._drive_lag, self._following = DriveLag(), Following()
+        self._relation = Relation(self.kind, self.supervisor.goal)
+        self._teacher = Teacher(self.kind)
+        self._object_s: float | None = None  # stamp of the object's newest image
         self.configure(values)
         self._chain: SerialChain | None = None
         self._chain_s = -inf
@@ -135,8 +139,32 @@ class ServoLoop:
     def _accept(self, images: list[Image]) -> None:
         if images:
             self._unjudged += images
+            for image in images:
+                self._teacher.add_tool(image.stamp_s, image.z)
             self._new_image = True
             self._note(Change.MEASUREMENT)
+
+    def add_object(self, now_s: float, stamp_s: float, z: np.ndarray) -> None:
+        """Take an object's measurement in the camera's frame, (m,): arrival and exposure, s."""
+        monitor = self.supervisor.inputs[OBJECT]
+        if repeats(stamp_s, self._object_s):
+            monitor.stuck(now_s)
+            return
+        self._object_s = stamp_s
+        if not self.supervisor.inputs.add(OBJECT, now_s, z):
+            return
+        self._teacher.add_object(stamp_s, z)
+        there_s = on_own_clock(stamp_s, self._stamp_s)
+        target = self._relation.add_image(z, there_s)
+        if self._relation.moved_m:
+            moved_mm = 1e3 * self._relation.moved_m
+            self.supervisor.end(Reason.OBJECT_MOVED.because(moved_mm=moved_mm))
+        if target is not None:
+            self._set_target(
+                target, self.supervisor.config.feature_frame, there_s, self._stamp_s - there_s
+            )
+            still = self.supervisor.goal.stands_still(there_s)
+            monitor.spare_s = self.supervisor.config.object_may_be_hidden_s if still else 0.0
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
         """Take the Jacobian, (d, n), m/rad, and its arrival; while a chain comes, it gives it."""
@@ -156,11 +184,37 @@ class ServoLoop:
     def add_target(self, z: np.ndarray, frame: str, stamp_s: float = 0.0) -> tuple[bool, str]:
         """Take a target, (m,); one that is updated often moves.
 
-        A stamp (s; 0 for now) says when it was there, on the clock of the joint states. The answer
-        is the supervisor's: see :meth:`~fvs_controller_node.goal.Goal.set`.
+        In the frame ``object`` it is relative to the object. A stamp (s; 0 for now) says when it
+        was there, on the clock of the joint states. The answer is the supervisor's: see :meth:`~fvs_controller_node.goal.Goal.set`.
         """
         there_s = on_own_clock(stamp_s, self._stamp_s)
-        return self._set_target(z, frame, there_s, self._stamp_s - there_s)
+        if frame == OBJECT_FRAME:
+            return self._set_relation(z)
+        accepted, text = self._set_target(z, frame, there_s, self._stamp_s - there_s)
+        if accepted:
+            self._forget_object()
+        return accepted, text
+
+    def _set_relation(self, wanted: np.ndarray) -> tuple[bool, str]:
+        goal, frame = self.supervisor.goal, self.supervisor.config.feature_frame
+        target = self._relation.target(wanted)
+        if target is not None:
+            accepted, text = self._set_target(target, frame)
+            if not accepted:
+                return accepted, text
+        else:
+            goal.forget()
+        self._relation.wanted = wanted
+        self.supervisor.inputs[OBJECT].needed = True
+        return True, f"target set to {self.kind.text(wanted)} from the object"
+
+    def _forget_object(self) -> None:
+        self._relation.wanted = None
+        self.supervisor.inputs[OBJECT].needed = False
+
+    def teach(self) -> Taught:
+        """Where the tool is at rest; a ``ValueError`` says why that is not known well."""
+        return self._teacher.teach()
 
     def set_current_as_target(self, now_s: float) -> tuple[bool, str]:
         """Make the feature's present value the target, if it is known now."""
@@ -170,6 +224,7 @@ class ServoLoop:
         z = self.track.now()
         if z is None:
             return False, f"target refused: the {self.kind.what}'s position is not known yet"
+        self._forget_object()
         return self._set_target(z, self.supervisor.config.feature_frame)
 
     def _set_target(self, *target: Any) -> tuple[bool, str]:

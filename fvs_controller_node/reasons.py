@@ -86,6 +86,7 @@ class Reason(Enum):
         "{seen_mm:.0f} mm measured",
         "check camera, detector and stamp_delay_s",
     )
+    OBJECT_MOVED = _ends("the object moved by {moved_mm:.0f} mm while it was hidden")
     CONFLICT = _ends("{name} commands the arm as well", "stop it")
     HELD_LONG = _ends("held for more than {limit_s:.0f} s: {why}")
     PROGRAM_STOPPED = _ends("the robot program stopped", "start it on the robot", Stop.AT_ONCE)

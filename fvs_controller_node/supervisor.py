@@ -79,7 +79,7 @@ class Supervisor:
         self._starts_itself = config.autostart
         self._ended: Finding | None = None  # what ended the session and needs a start
         self._held_since_s: float | None = None
-        self.inputs = Inbox(config, self._end)
+        self.inputs = Inbox(config, self.end)
         self.goal = Goal(config)
         self._prediction, self._singularity = PredictionMonitor(), SingularityMonitor()
         joints = len(config.joint_names)
@@ -137,7 +137,7 @@ class Supervisor:
         for monitor in (self._prediction, self.goal.progress):
             monitor.restart()
 
-    def _end(self, finding: Finding) -> None:
+    def end(self, finding: Finding) -> None:
         """End the session, if there is one, until a new start."""
         if self.started:
             self.started, self._ended = False, finding
@@ -239,7 +239,7 @@ class Supervisor:
         if now_s - self._held_since_s > limit_s and not finding.reason.needs_start:
             finding = Reason.HELD_LONG.because(limit_s=limit_s, why=finding.text)
         if finding is not None and finding.reason.needs_start:
-            self._end(finding)
+            self.end(finding)
         return finding
 
     # ---- how it moves, how it rests -------------------------------------------------------

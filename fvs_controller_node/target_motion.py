@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fvs_ros.filter import NoiseVariance
+from fvs_ros.kinds import Kind
 from fvs_ros.timeline import MAX_GAP_S
 from fvs_ros.vectors import length
 
@@ -144,6 +145,63 @@ class TargetMotion:
             position += bent_s * (2.0 * since_s - bent_s) * curve[2]
             velocity += 2.0 * bent_s * curve[2]
         return None if length(velocity) > _FASTEST_M_S else Target(position, velocity)
+
+
+class FollowedPath:
+    """Something measured that may move: where it is on its path, and how fast.
+
+    On a curved kind of feature the path is a sum of tangent vectors, so that the motion is one of
+    plain vectors.
+
+    Parameters
+    ----------
+    kind : Kind
+        What is measured, m numbers that move in d ways.
+
+    Attributes
+    ----------
+    last : ndarray, shape (m,), or None
+        The newest measurement.
+    path_m : ndarray, shape (d,)
+        Its path up to there.
+    """
+
+    def __init__(self, kind: Kind) -> None:
+        self._kind, self._motion = kind, TargetMotion()
+        self.last: np.ndarray | None = None
+        self.path_m = np.zeros(kind.size)
+
+    def forget(self) -> None:
+        """Begin a new path; the learned noise stays."""
+        self.last = None
+        self._motion.restart()
+
+    @property
+    def noise_m(self) -> float:
+        """Standard deviation of a coordinate of a measurement, as learned, m."""
+        return float(self._motion.noise.variance_m2**0.5)
+
+    def add(self, z: np.ndarray, there_s: float = -inf, age_s: float = 0.0) -> Update:
+        """Take a measurement, (m,); times as in :meth:`TargetMotion.update`."""
+        path_m = self.path_m
+        if self.last is not None:
+            path_m = path_m + self._kind.minus(z, self.last)
+        update = self._motion.update(path_m, there_s, age_s)
+        if update is not Update.OVERTAKEN:
+            self.last, self.path_m = z, path_m
+        return update
+
+    def at(self, now_s: float) -> tuple[np.ndarray | None, np.ndarray, np.ndarray | None]:
+        """Where it is now, s, as a measurement, (m,), and on its path, m, (d,); and how fast, m/s.
+
+        No velocity where it stands, and no measurement before the first.
+        """
+        now = self._motion.at(now_s)
+        if now is None or self.last is None:
+            return self.last, self.path_m, None
+        gone_m = now.position_m - self.path_m
+        z = self._kind.retract(self.last, gone_m) if gone_m.any() else self.last
+        return z, now.position_m, now.velocity_m_s
 
 
 def _polynomial(

@@ -24,9 +24,9 @@ from fvs_ros.kinds import KINDS, Kind, kind_of
 from fvs_ros.status import SILENT_S, vector
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_ros.vectors import plausible
+from fvs_ros.yaml_text import read_yaml
 from fvs_tools.bag_reader import BagError, open_bag
 from fvs_tools.demo import table
-from fvs_tools.scenario import read_yaml
 from fvs_tools.score import SETTLED_ERROR_M, TargetScore, judge, largest_part_m
 
 COMMAND = "fvs_experiments replay"

@@ -24,7 +24,7 @@ _MEAN_CLIP = 4.0
 #: An image further off than this many standard deviations is an outlier.
 OUTLIER = 6.0
 #: Margin of that for systematic error, m.
-_GATE_M = 0.002
+GATE_M = 0.002
 #: After this count in a row the camera or the tool moves, even if no two of them agree.
 _REPEATS = 6
 
@@ -183,7 +183,7 @@ class PathFilter:
         R, predicted_m2 = self.noise.variance_m2, self._predicted_m2()
         S = predicted_m2 + R
         off_m = (float(innovation.dot(innovation)) / len(innovation)) ** 0.5
-        if off_m <= OUTLIER * S**0.5 + _GATE_M:
+        if off_m <= OUTLIER * S**0.5 + GATE_M:
             K = max(predicted_m2 / S, _LEAST_GAIN)
             self._P = (1.0 - K) ** 2 * self._P + K**2 * R
             self._c = (1.0 - K) * self._c

@@ -78,6 +78,7 @@ class KindTopics(NamedTuple):
 
     tool: Topic  #: what rides on the arm, as measured
     target: Topic
+    object: Topic  #: what targets may be relative to, as measured
     sliding: Topic  #: the law's sliding variable
     truth: Topic  #: a simulator's truth, for scoring
 
@@ -86,6 +87,7 @@ def kind_topics(
     message_type: str,
     tool: tuple[str, str],
     target: tuple[str, str],
+    seen_object: tuple[str, str],
     sliding_type: str = "std_msgs/msg/Float64MultiArray",
 ) -> KindTopics:
     """Topics of a kind of feature.
@@ -94,7 +96,7 @@ def kind_topics(
     ----------
     message_type : str
         Of measurement, target and truth.
-    tool, target : tuple of str
+    tool, target, seen_object : tuple of str
         Name and description.
     sliding_type : str
         Message type of the sliding variable.
@@ -118,6 +120,14 @@ def kind_topics(
             also_from="you",
             offers=Qos.LATCHED,
             asks=_EITHER,
+        ),
+        object=Topic(
+            seen_object[0],
+            message_type,
+            seen_object[1],
+            (SIM, DETECTOR),
+            (CONTROLLER, DASHBOARD),
+            also_from="your own detector",
         ),
         sliding=Topic(
             "sliding_variable",

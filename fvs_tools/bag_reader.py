@@ -18,8 +18,8 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2.storage_mcap import McapReader, Schema, zstd
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
+from fvs_ros.yaml_text import read_yaml_file
 from fvs_tools.bag import NOTES, TYPES
-from fvs_tools.scenario import read_yaml_file
 
 _METADATA, _MCAP, _SQLITE = "metadata.yaml", ".mcap", ".db3"
 _COMPRESSED = (".zstd", ".zst")

@@ -18,6 +18,7 @@ from fvs_ros import topics
 from fvs_ros.arguments import unknown
 from fvs_ros.params import Parameter, ParameterError, ParameterSet, parameters_of
 from fvs_ros.paths import find_file, share_folders
+from fvs_ros.yaml_text import QUOTED, read_yaml, read_yaml_file
 from fvs_sim_node.robot import moving_joints, robot_of
 from fvs_tools.recording import check_recording
 from fvs_tools.schemes import scheme
@@ -26,8 +27,6 @@ ALL_NODES = "/**"
 RECORDER = topics.RECORDER
 #: What rclpy declares for every node.
 _EVERYWHERE = Parameter("use_sim_time", False, "follow /clock")
-#: Largest YAML, and longest quotation of it in an error, characters.
-_MOST_YAML, _QUOTED = 2**20, 300
 
 #: Parameters by name, by the name of their node.
 Scenario = dict[str, dict[str, Any]]
@@ -167,7 +166,7 @@ def _override(path: Path, sections: Scenario, override: str) -> None:
     try:
         value = read_yaml(text)
     except ValueError as error:
-        raise ValueError(f"'{override[:_QUOTED]}' has a value that is no YAML: {error}") from error
+        raise ValueError(f"'{override[:QUOTED]}' has a value that is no YAML: {error}") from error
     for target in targets:
         sections[target][name] = value
 
@@ -192,35 +191,3 @@ def scenario_names() -> dict[str, str]:
             path.stem, words.removeprefix("# ").partition(". ")[0].rstrip(".") + "."
         )
     return sentences
-
-
-# --- YAML from untrusted files: no aliases, nothing oversized ---
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML without aliases: a few lines of them can expand beyond any memory."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.events.AliasEvent):
-            raise yaml.YAMLError("aliases (*name) are not taken")
-        return super().compose_node(parent, index)
-
-
-def read_yaml(text: str | bytes) -> Any:
-    """The content of a YAML text; a ``ValueError`` explains briefly what is wrong."""
-    if len(text) > _MOST_YAML:
-        raise ValueError(f"it is larger than {_MOST_YAML >> 20} MB")
-    try:
-        return _Loader(text).get_single_data()
-    except RecursionError:
-        raise ValueError("it is nested too deeply") from None
-    except yaml.reader.ReaderError:
-        raise ValueError("it is binary, expected text") from None
-    except (yaml.YAMLError, ValueError, OverflowError) as error:
-        raise ValueError(str(error)[:_QUOTED]) from None
-
-
-def read_yaml_file(path: Path) -> Any:
-    """The content of a YAML file; raises as :func:`read_yaml`, or an ``OSError``."""
-    with path.open("rb") as file:
-        return read_yaml(file.read(_MOST_YAML + 1))

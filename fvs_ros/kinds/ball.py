@@ -23,7 +23,12 @@ class Ball(Kind):
             "The ball's centre, m, in the camera's optical frame, stamped with the exposure; "
             "silent while the ball is not seen.",
         ),
-        ("target_position", "The desired ball position, m, in the frame of `ball_position`."),
+        (
+            "target_position",
+            "The desired ball position, m, in the frame of `ball_position`, or from the object, "
+            "along the camera's axes (`frame_id` `object`).",
+        ),
+        ("object_position", "The same of an object, for targets relative to it; optional."),
         "geometry_msgs/msg/Vector3Stamped",
     )
 

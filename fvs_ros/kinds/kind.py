@@ -98,6 +98,10 @@ class Kind:
             raise ValueError(f"expected {len(self.columns)} numbers, got {len(numbers)}")
         return numbers
 
+    def columns_of(self, z: np.ndarray) -> np.ndarray:
+        """The numbers that a person writes of a measurement: the inverse of ``parse``."""
+        return z
+
     # ---- motion ------------------------------------------------------------------------------
 
     def minus(
@@ -153,6 +157,16 @@ class Kind:
         square = np.sum((z[:, :2] / z[:, 2:3]) ** 2, axis=1, keepdims=True)
         factor = (1.0 + focal) * (1.0 + radial * square)
         return z * np.concatenate([factor, factor, np.ones_like(factor)], axis=1)
+
+    # ---- relative to an object ---------------------------------------------------------------
+
+    def relative(self, z: np.ndarray, object_z: np.ndarray) -> np.ndarray:
+        """The measurement z, (m,), in the frame of an object that is measured as well, (m,)."""
+        return z - object_z
+
+    def absolute(self, relative_z: np.ndarray, object_z: np.ndarray) -> np.ndarray:
+        """The measurement, (m,), that is ``relative_z``, (m,), in the object's frame."""
+        return object_z + relative_z
 
     # ---- rigid bodies ------------------------------------------------------------------------
 

@@ -47,7 +47,12 @@ class Pose(Kind):
             "The tag's pose in the camera's optical frame, its x axis to the right, y up, z out of "
             "the print, stamped with the exposure; silent while it is not seen or not certain.",
         ),
-        ("target_pose", "The desired pose of the tag, in the frame of `tool_pose`."),
+        (
+            "target_pose",
+            "The desired pose of the tag, in the frame of `tool_pose`, or in that of the object "
+            "(`frame_id` `object`).",
+        ),
+        ("object_pose", "The same of an object, for targets relative to it; optional."),
     )
 
     def __init__(self, lever_arm_m: float = 0.3) -> None:
@@ -76,6 +81,10 @@ class Pose(Kind):
         numbers = super().parse(numbers)
         return self._of_numbers(numbers[:3], numbers[3:])
 
+    def columns_of(self, z: np.ndarray) -> np.ndarray:
+        """Position, m, and quaternion x, y, z, w of a pose, (7,)."""
+        return np.append(z[:3], quaternion_from_rotation(self.rotation(z)))
+
     def _of_numbers(self, position_m: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
         if not plausible(position_m):
             raise ValueError(f"is not finite, or too far: {position_m.tolist()}")
@@ -95,6 +104,18 @@ class Pose(Kind):
         """The pose that a motion, m, (6,), leads to from z."""
         rotation = rotation_from_vector(motion_m[3:] / self.lever_arm_m)
         return np.append(z[:3] + motion_m[:3], z[3:].reshape(3, 3) @ rotation.T)
+
+    def relative(self, z: np.ndarray, object_z: np.ndarray) -> np.ndarray:
+        """The pose z in the frame of an object's pose, both (12,)."""
+        camera_from_object = self.rotation(object_z)
+        from_object_m = camera_from_object.T @ (z[:3] - object_z[:3])
+        return self.of_body(from_object_m, camera_from_object.T @ self.rotation(z))
+
+    def absolute(self, relative_z: np.ndarray, object_z: np.ndarray) -> np.ndarray:
+        """The pose that is ``relative_z`` in the frame of an object's pose, all (12,)."""
+        camera_from_object = self.rotation(object_z)
+        position_m = object_z[:3] + camera_from_object @ relative_z[:3]
+        return self.of_body(position_m, camera_from_object @ self.rotation(relative_z))
 
     def moved_by(self, z: np.ndarray, angular: np.ndarray, linear_m: np.ndarray) -> np.ndarray:
         """Motions, m, (..., 6, n), of z by n twists of space."""

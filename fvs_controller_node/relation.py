@@ -1,0 +1,148 @@
+"""A target relative to an object that is seen as well: where it is now, and how it is taught.
+
+Every image of the object sets the target anew. The goal follows it like any target that is updated
+often: at rest the noise of the object averages out, and its motion is fed forward.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+
+from fvs_controller_node.goal import Goal
+from fvs_ros.filter import OUTLIER
+from fvs_ros.kinds import Kind
+from fvs_ros.timeline import MAX_GAP_S
+from fvs_ros.vectors import length
+
+#: ``frame_id`` of a relative target.
+OBJECT_FRAME = "object"
+#: Teaching averages over this time, s, and over as many images at least.
+_TEACH_S, _TEACH_IMAGES = 1.0, 5
+
+
+class Relation:
+    """Finds the target from the newest image of the object.
+
+    Parameters
+    ----------
+    kind : Kind
+        Of tool and object, m numbers.
+    goal : Goal
+        Knows where the target is expected.
+
+    Attributes
+    ----------
+    wanted : ndarray, shape (m,), or None
+        The target in the object's frame; None for an absolute one.
+    moved_m : float
+        How far the object was from its last place when it was seen again, m; 0 if it stood still.
+    """
+
+    def __init__(self, kind: Kind, goal: Goal) -> None:
+        self._kind, self._goal = kind, goal
+        self.wanted: np.ndarray | None = None
+        self.moved_m = 0.0
+        self._object: np.ndarray | None = None  # as seen last
+        self._seen_s = -inf
+        self._off_m: np.ndarray | None = None  # of an outlier
+
+    def add_image(self, z: np.ndarray, there_s: float) -> np.ndarray | None:
+        """Take an image of the object, (m,), and its exposure on the joint states' clock, s.
+
+        Returns the target, (m,). It is None for an absolute one, and for an outlier: an image that
+        is off what was expected, and that the one before it does not confirm.
+        """
+        self.moved_m = 0.0
+        if self.wanted is not None:
+            target = self._kind.absolute(self.wanted, z)
+            before, self._off_m = self._off_m, self._goal.off_m(target, there_s)
+            if self._off_m is not None:
+                off_m = length(self._off_m)
+                if before is None or length(self._off_m - before) > 0.5 * off_m:
+                    return None
+                if there_s - self._seen_s > MAX_GAP_S:
+                    self.moved_m = off_m
+                self._off_m = None
+        self._object, self._seen_s = z, there_s
+        return self.target(self.wanted)
+
+    def target(self, wanted: np.ndarray | None) -> np.ndarray | None:
+        """Where something in the object's frame, (m,), is in the camera's; None if unknown."""
+        if wanted is None or self._object is None:
+            return None
+        return self._kind.absolute(wanted, self._object)
+
+
+class Taught(NamedTuple):
+    """Where the tool is, averaged at rest."""
+
+    z: np.ndarray  #: in the object's frame if one is seen, else in the camera's, (m,)
+    relative: bool  #: whether an object is seen
+    deviation_m: float  #: standard deviation of a coordinate of the mean
+
+
+class Teacher:
+    """Averages tool and object over the last second."""
+
+    def __init__(self, kind: Kind) -> None:
+        self._kind = kind
+        self._tool, self._object = _Second(kind), _Second(kind)
+
+    def add_tool(self, stamp_s: float, z: np.ndarray) -> None:
+        """Take an image of the tool, (m,), and its exposure, s."""
+        self._tool.add(stamp_s, z)
+
+    def add_object(self, stamp_s: float, z: np.ndarray) -> None:
+        """Take an image of the object, (m,), and its exposure, s."""
+        self._object.add(stamp_s, z)
+
+    def teach(self) -> Taught:
+        """Where the tool is now; a ``ValueError`` says why that is not known well."""
+        topics = self._kind.topics
+        z, deviation_m = self._tool.mean(topics.tool.name)
+        # An object that was not seen in the tool's last second is none.
+        if self._object.newest_s < self._tool.newest_s - _TEACH_S:
+            return Taught(z, False, deviation_m)
+        object_z, object_m = self._object.mean(topics.object.name)
+        z = self._kind.relative(z, object_z)
+        return Taught(z, True, float(np.hypot(deviation_m, object_m)))
+
+
+class _Second:
+    """The images of the last second."""
+
+    def __init__(self, kind: Kind) -> None:
+        self._kind = kind
+        self._images = deque[tuple[float, np.ndarray]](maxlen=256)
+
+    @property
+    def newest_s(self) -> float:
+        """Exposure of the newest image, s."""
+        return self._images[-1][0] if self._images else -inf
+
+    def add(self, stamp_s: float, z: np.ndarray) -> None:
+        if stamp_s < self.newest_s:
+            self._images.clear()  # another clock
+        self._images.append((stamp_s, z))
+        while self._images[0][0] < stamp_s - _TEACH_S:
+            self._images.popleft()
+
+    def mean(self, name: str) -> tuple[np.ndarray, float]:
+        """The mean, (m,), and its standard deviation in each coordinate, m."""
+        if len(self._images) < _TEACH_IMAGES:
+            raise ValueError(f"{len(self._images)} images of {name} in the last second, expected 5")
+        images = [z for _, z in self._images]
+        steps_m = np.array([self._kind.minus(z, images[-1]) for z in images])
+        count = len(steps_m)
+        # Second differences are blind to a drift, which must not count as noise.
+        noise_m2 = np.mean(np.diff(steps_m, 2, axis=0) ** 2) / 6.0
+        first_m, second_m = steps_m[: count // 2].mean(axis=0), steps_m[count // 2 :].mean(axis=0)
+        drift_m = float(np.sqrt(np.mean((second_m - first_m) ** 2)))
+        if drift_m > OUTLIER * np.sqrt(4.0 * noise_m2 / count) + 1e-9:
+            raise ValueError(f"{name} moved by {2e3 * drift_m:.1f} mm in the last second")
+        mean = self._kind.retract(images[-1], steps_m.mean(axis=0))
+        return mean, float(np.sqrt(noise_m2 / count))

@@ -1,0 +1,145 @@
+"""Targets relative to an object: taught and found again, moved, hidden, and wrongly seen."""
+
+import numpy as np
+import pytest
+from cases import each
+from lock_step import EXACT_POSE, feature_at, loop_from
+
+from fvs_controller_node.reasons import Reason, State
+from fvs_controller_node.relation import OBJECT_FRAME
+from fvs_lab.trials import Conditions, simulation_of
+
+GOAL_RAD = np.array([-0.2, -1.5, 1.75, -1.6, -1.75, 0.2])
+START_RAD = np.array([0.1, -1.2, 1.5, -1.8, -1.4, -0.1])
+KINDS = {
+    "ball": Conditions(rendered=False, position_noise_m=3e-4),
+    "pose": EXACT_POSE,
+}
+EVERY = 4  # joint states an image of the object
+
+
+class Scene:
+    """A loop, and an object that is seen with noise."""
+
+    def __init__(self, feature, **values):
+        simulation = simulation_of(KINDS[feature])
+        tool = feature_at(simulation, GOAL_RAD)
+        self.loop = loop_from("best", START_RAD, simulation, **values)
+        kind = self.kind = self.loop.kind
+        self.generator = np.random.default_rng(4)
+        # Beside the goal, and turned.
+        motion_m = np.array([0.05, 0.08, -0.06, 0.1, -0.05, 0.2])[: kind.size]
+        self.object = kind.retract(tool, motion_m)
+        self.relative = kind.relative(tool, self.object)
+        self.tick = 0
+
+    def measured(self):
+        return self.kind.retract(self.object, 3e-4 * self.generator.standard_normal(self.kind.size))
+
+    def run(self, seconds, seen=measured):
+        commands = []
+        for _ in range(round(seconds / self.loop.period_s)):
+            now_s = self.loop.simulation.time_s
+            if self.tick % EVERY == 0 and seen is not None:
+                self.loop.loop.add_object(now_s, now_s, seen(self))
+            self.tick += 1
+            commands.append(self.loop.tick())
+        return commands
+
+    def ask(self):
+        accepted, text = self.loop.loop.add_target(self.relative, OBJECT_FRAME)
+        assert accepted, text
+
+    @property
+    def error_m(self):
+        """Error of the relation, m."""
+        target = self.kind.absolute(self.relative, self.object)
+        return np.linalg.norm(self.kind.minus(self.loop.true_feature, target))
+
+
+@pytest.fixture(params=KINDS)
+def scene(request):
+    return Scene(request.param, object_may_be_hidden_s=2.0)
+
+
+def test_a_taught_relation_is_found_again_beside_the_object_at_another_place(scene):
+    scene.ask()
+    scene.run(2.5)
+    errors_m = [scene.error_m for _ in range(60) if scene.run(4 * scene.loop.period_s)]
+    assert np.median(errors_m) < 3e-4
+    taught = scene.loop.loop.teach()
+    assert taught.relative
+    assert np.linalg.norm(scene.kind.minus(taught.z, scene.relative)) < 6e-4
+    assert 2e-5 < taught.deviation_m < 2e-4
+    motion_m = np.array([-0.08, 0.03, 0.05, 0.0, 0.1, 0.1])[: scene.kind.size]
+    scene.object = scene.kind.retract(scene.object, motion_m)
+    assert scene.loop.loop.add_target(taught.z, OBJECT_FRAME)[0]
+    scene.run(2.5)
+    assert scene.error_m < 1.5e-3
+
+
+def test_an_object_on_a_belt_is_followed(scene):
+    velocity_m = np.zeros(scene.kind.size)
+    velocity_m[0] = 0.1 * EVERY * scene.loop.period_s
+
+    def carried(scene):
+        scene.object = scene.kind.retract(scene.object, velocity_m)
+        return scene.measured()
+
+    scene.ask()
+    scene.run(1.5)
+    scene.run(1.0, carried)
+    errors_m = [scene.error_m for _ in range(100) if scene.run(scene.loop.period_s, carried)]
+    assert np.sqrt(np.mean(np.square(errors_m))) < 3e-3
+
+
+def test_a_lone_wrong_image_moves_nothing_and_a_lasting_jump_is_a_new_target(scene):
+    scene.ask()
+    scene.run(2.5)
+    jump_m = np.zeros(scene.kind.size)
+    jump_m[1] = 0.1
+    wrong = [scene.kind.retract(scene.object, jump_m)]
+    commands = scene.run(0.2, lambda scene: wrong.pop() if wrong else scene.measured())
+    assert max(np.abs(c.velocity_rad_s).max() for c in commands) < 0.05
+    scene.object = scene.kind.retract(scene.object, jump_m)
+    scene.run(2.5)
+    assert scene.error_m < 1.5e-3
+
+
+def test_an_object_that_stood_still_may_be_hidden(scene):
+    scene.ask()
+    scene.run(0.5)
+    scene.run(1.9, None)
+    assert scene.loop.loop.supervisor.last.state is State.SERVOING
+    assert scene.error_m < 2e-3
+    scene.run(0.5)
+    assert scene.loop.loop.supervisor.last.state is State.SERVOING
+    scene.run(2.6, None)
+    assert scene.loop.loop.supervisor.last.reason is Reason.STALE
+
+
+def test_an_object_that_moved_while_it_was_hidden_holds_the_arm(scene):
+    scene.ask()
+    scene.run(1.0)
+    scene.run(1.0, None)
+    scene.object = scene.kind.retract(scene.object, np.full(scene.kind.size, 0.02))
+    commands = scene.run(0.5)
+    assert commands[-1].reason is Reason.OBJECT_MOVED
+    assert not commands[-1].velocity_rad_s.any()
+
+
+@each("feature", KINDS)
+def test_an_object_that_was_never_seen_holds_the_arm(feature):
+    scene = Scene(feature)
+    scene.ask()
+    commands = scene.run(0.3, None)
+    assert commands[-1].reason is Reason.MISSING
+    assert "object" in commands[-1].text
+    assert not any(c.velocity_rad_s.any() for c in commands)
+
+
+def test_teaching_refuses_what_moves(scene):
+    scene.ask()
+    scene.run(0.5)
+    with pytest.raises(ValueError, match="moved by"):
+        scene.loop.loop.teach()
