@@ -35,6 +35,10 @@ class ControllerConfig(CommandInterface):
     law: str = live_parameter(
         "ftsm", "Control law; changes only while the arm is stopped.", choices=tuple(LAWS)
     )
+    reference: str = live_parameter(
+        "grasp", "Name of the reference that ~/teach writes and ~/go_to_reference reads."
+    )
+    references_path: str = live_parameter("references.yaml", "File of the taught references.")
     target_feed_forward: bool = live_parameter(
         True,
         "Feed-forward for targets that are updated often; off, every target is fixed.",

@@ -18,7 +18,8 @@ from fvs_controller_node.drive_lag import DriveLag, brake
 from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES, OBJECT
 from fvs_controller_node.reasons import Finding, Reason, State
 from fvs_controller_node.redundancy import make_inverse
-from fvs_controller_node.relation import OBJECT_FRAME, Relation, Taught, Teacher
+from fvs_controller_node.references import Reference
+from fvs_controller_node.relation import OBJECT_FRAME, Relation, Teacher
 from fvs_controller_node.supervisor import Command, Present, Supervisor, checked_output
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
@@ -185,14 +186,15 @@ class ServoLoop:
         """Take a target, (m,); one that is updated often moves.
 
         In the frame ``object`` it is relative to the object. A stamp (s; 0 for now) says when it
-        was there, on the clock of the joint states. The answer is the supervisor's: see :meth:`~fvs_controller_node.goal.Goal.set`.
+        was there, on the clock of the joint states. The answer is the supervisor's: see
+        :meth:`~fvs_controller_node.goal.Goal.set`.
         """
         there_s = on_own_clock(stamp_s, self._stamp_s)
         if frame == OBJECT_FRAME:
             return self._set_relation(z)
         accepted, text = self._set_target(z, frame, there_s, self._stamp_s - there_s)
         if accepted:
-            self._forget_object()
+            self._be_relative_to_object(None)
         return accepted, text
 
     def _set_relation(self, wanted: np.ndarray) -> tuple[bool, str]:
@@ -204,17 +206,26 @@ class ServoLoop:
                 return accepted, text
         else:
             goal.forget()
-        self._relation.wanted = wanted
-        self.supervisor.inputs[OBJECT].needed = True
+        self._be_relative_to_object(wanted)
         return True, f"target set to {self.kind.text(wanted)} from the object"
 
-    def _forget_object(self) -> None:
-        self._relation.wanted = None
-        self.supervisor.inputs[OBJECT].needed = False
+    def _be_relative_to_object(self, wanted: np.ndarray | None) -> None:
+        self._relation.wanted = wanted
+        self.supervisor.inputs[OBJECT].needed = wanted is not None
+        self.supervisor.goal.speed = 1.0
 
-    def teach(self) -> Taught:
+    def teach(self) -> Reference:
         """Where the tool is at rest; a ``ValueError`` says why that is not known well."""
-        return self._teacher.teach()
+        taught = self._teacher.teach()
+        frame = OBJECT_FRAME if taught.relative else self.supervisor.config.feature_frame
+        return Reference(taught.z, frame, deviation_m=taught.deviation_m)
+
+    def go_to(self, reference: Reference) -> tuple[bool, str]:
+        """Make a taught reference the target, at its speed."""
+        accepted, text = self.add_target(reference.z, reference.frame)
+        if accepted:
+            self.supervisor.goal.speed = reference.speed
+        return accepted, text
 
     def set_current_as_target(self, now_s: float) -> tuple[bool, str]:
         """Make the feature's present value the target, if it is known now."""
@@ -224,7 +235,7 @@ class ServoLoop:
         z = self.track.now()
         if z is None:
             return False, f"target refused: the {self.kind.what}'s position is not known yet"
-        self._forget_object()
+        self._be_relative_to_object(None)
         return self._set_target(z, self.supervisor.config.feature_frame)
 
     def _set_target(self, *target: Any) -> tuple[bool, str]:

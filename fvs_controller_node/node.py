@@ -8,6 +8,7 @@ stop.listen()
 
 import sys
 from collections import deque
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,10 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from fvs_controller_node.config import PARAMETERS
-from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES, ROBOT_DESCRIPTION
+from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES, OBJECT, ROBOT_DESCRIPTION
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason, State
+from fvs_controller_node.references import References
 from fvs_controller_node.supervisor import Command
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
@@ -74,6 +76,7 @@ class ControllerNode(ros.FvsNode):
         self._sliding = self.publisher(self._kind.topics.sliding)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         self.subscribe(self._kind.topics.tool, self._on_feature)
+        self.subscribe(self._kind.topics.object, self._on_object)
         self.subscribe(topics.JACOBIAN, self._on_jacobian)
         self.subscribe(topics.KINEMATIC_CHAIN, self._on_chain)
         self.subscribe(topics.ESTIMATOR_STATUS, self._on_estimator_status)
@@ -87,6 +90,8 @@ class ControllerNode(ros.FvsNode):
         self.create_service(
             Trigger, "~/set_current_as_target", self._as_service(self._take_current_as_target)
         )
+        self.create_service(Trigger, "~/teach", self._as_service(self._teach))
+        self.create_service(Trigger, "~/go_to_reference", self._as_service(self._go_to_reference))
         self._ticker = ros.Ticker(self, self._tick, v["joint_state_rate_hz"])
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
         self.create_timer(0.5, self._look_around, clock=self.steady_clock)
@@ -121,6 +126,15 @@ class ControllerNode(ros.FvsNode):
             self._loop.supervisor.inputs[FEATURE].bad(str(error))
             return
         self._loop.add_image(now_s, ros.from_stamp(message.header.stamp), z)
+
+    def _on_object(self, message: Any) -> None:
+        now_s, kind = self.now_s(), self._kind
+        try:
+            z = ros.from_feature(message, kind, self._frame, kind.topics.object.name)
+        except ros.MessageError as error:
+            self._loop.supervisor.inputs[OBJECT].bad(str(error))
+            return
+        self._loop.add_object(now_s, ros.from_stamp(message.header.stamp), z)
 
     def _on_jacobian(self, message: Float64MultiArray) -> None:
         now_s, joints = self.now_s(), len(self._joint_map.names)
@@ -172,6 +186,32 @@ class ControllerNode(ros.FvsNode):
             self._refusal = ""
         return accepted, text
 
+    def _references(self) -> References:
+        return References(Path(self.values["references_path"]).expanduser(), self._kind)
+
+    def _teach(self) -> tuple[bool, str]:
+        name, references = self.values["reference"], self._references()
+        try:
+            taught = self._loop.teach()
+            references.keep(name, taught)
+        except (ValueError, OSError) as error:
+            return False, f"not taught: {error}"
+        where = self._kind.text(taught.z)
+        deviation_mm = 1e3 * taught.deviation_m
+        return True, (
+            f"taught {name} in the frame {taught.frame}: {where}, +-{deviation_mm:.2f} mm; "
+            f"written to {references.path}"
+        )
+
+    def _go_to_reference(self) -> tuple[bool, str]:
+        name = self.values["reference"]
+        try:
+            reference = self._references().get(name)
+        except (ValueError, OSError) as error:
+            return False, f"target refused: {error}"
+        accepted, text = self._loop.go_to(reference)
+        return accepted, f"{name}: {text}"
+
     def _take_limits(self, values: dict[str, Any]) -> None:
         self._loop.configure(values)
         self._loop.supervisor.inputs[ROBOT_DESCRIPTION].forget()
@@ -196,6 +236,8 @@ class ControllerNode(ros.FvsNode):
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take changed gains and limits into use; another law only while the arm is stopped."""
+        if changed <= {"reference", "references_path"}:
+            return  # read when they are used
         if values["law"] != self.values["law"] and self._loop.supervisor.started:
             raise ValueError("the law changes only while the arm is stopped; call ~/stop first")
         self._loop.configure(self._limits.fill(values))

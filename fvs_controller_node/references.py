@@ -48,17 +48,17 @@ class References:
     """
 
     def __init__(self, path: Path, kind: Kind) -> None:
-        self._path, self._kind = path, kind
+        self.path, self._kind = path, kind
 
     def get(self, name: str) -> Reference:
         """A reference; a ``ValueError`` says why there is none that can be used."""
         content = self._read()
         if name not in content:
-            raise ValueError(f"{self._path}: {unknown('reference', name, content)}")
+            raise ValueError(f"{self.path}: {unknown('reference', name, content)}")
         try:
             return self._parse(content[name])
         except ValueError as error:
-            raise ValueError(f"{self._path}, {name}: {error}") from None
+            raise ValueError(f"{self.path}, {name}: {error}") from None
 
     def keep(self, name: str, reference: Reference) -> None:
         """Write a reference into the file, beside the others; its speed stays, if it has one.
@@ -79,24 +79,24 @@ class References:
             _DEVIATION: reference.deviation_m,
         }
         if len(content) > _MOST:
-            raise ValueError(f"{self._path} holds {_MOST} references already")
-        temporary = self._path.with_name(f".{self._path.name}.{os.getpid()}.tmp")
+            raise ValueError(f"{self.path} holds {_MOST} references already")
+        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self.path.parent.mkdir(parents=True, exist_ok=True)
             temporary.write_text(_HEAD + yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-            temporary.replace(self._path)
+            temporary.replace(self.path)
         finally:
             temporary.unlink(missing_ok=True)
 
     def _read(self) -> dict[str, Any]:
         try:
-            content = read_yaml_file(self._path) or {}
+            content = read_yaml_file(self.path) or {}
         except FileNotFoundError:
             return {}
         except (OSError, ValueError) as error:
-            raise ValueError(f"{self._path} cannot be read: {error}") from None
+            raise ValueError(f"{self.path} cannot be read: {error}") from None
         if not isinstance(content, dict) or not all(isinstance(name, str) for name in content):
-            raise ValueError(f"{self._path}: expected names of references at the top")
+            raise ValueError(f"{self.path}: expected names of references at the top")
         return content
 
     def _parse(self, entry: Any) -> Reference:

@@ -249,7 +249,7 @@ class Supervisor:
         ratio = 0.0 if verdict is None else verdict.error_ratio
         config = self.config
         share, active = _speed_share(self._smallest_m_rad, ratio, config)
-        fast = config.max_joint_velocity_rad_s * share
+        fast = config.max_joint_velocity_rad_s * share * self.goal.speed
         if self._singularity.leaving:
             fast = min(fast, _LEAVING_RAD_S)
             self._singularity.go_on(dt_s)

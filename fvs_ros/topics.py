@@ -65,6 +65,12 @@ SERVICES = {
     f"{CONTROLLER}/start": (_TRIGGER, "Lets the arm move, if everything is ready."),
     f"{CONTROLLER}/stop": (_TRIGGER, "Brings the arm to rest; it moves again after a start."),
     f"{CONTROLLER}/set_current_as_target": (_TRIGGER, "Makes what is seen now the target."),
+    f"{CONTROLLER}/teach": (
+        _TRIGGER,
+        "Writes where the tool is at rest, seen from the object if one is seen, into "
+        "`references_path`, as `reference`.",
+    ),
+    f"{CONTROLLER}/go_to_reference": (_TRIGGER, "Makes `reference` the target."),
 }
 
 #: Receives from latched publishers and from others.

@@ -68,12 +68,12 @@ def test_a_taught_relation_is_found_again_beside_the_object_at_another_place(sce
     errors_m = [scene.error_m for _ in range(60) if scene.run(4 * scene.loop.period_s)]
     assert np.median(errors_m) < 3e-4
     taught = scene.loop.loop.teach()
-    assert taught.relative
+    assert taught.frame == OBJECT_FRAME
     assert np.linalg.norm(scene.kind.minus(taught.z, scene.relative)) < 6e-4
     assert 2e-5 < taught.deviation_m < 2e-4
     motion_m = np.array([-0.08, 0.03, 0.05, 0.0, 0.1, 0.1])[: scene.kind.size]
     scene.object = scene.kind.retract(scene.object, motion_m)
-    assert scene.loop.loop.add_target(taught.z, OBJECT_FRAME)[0]
+    assert scene.loop.loop.go_to(taught)[0]
     scene.run(2.5)
     assert scene.error_m < 1.5e-3
 

@@ -1,0 +1,59 @@
+"""The file of taught references: what is kept, what is read, what is refused."""
+
+import numpy as np
+import pytest
+from cases import each
+
+from fvs_controller_node.references import Reference, References
+from fvs_ros.kinds import kind_of
+from fvs_ros.rotations import rotation_from_vector
+
+POSE = kind_of("pose")
+Z = POSE.of_body(np.array([0.01, -0.2, 0.3]), rotation_from_vector(np.array([0.1, 2.0, -1.0])))
+
+
+def test_what_is_kept_is_read_again_beside_others_and_keeps_the_speed_that_was_edited(tmp_path):
+    path = tmp_path / "kitchen" / "references.yaml"
+    references = References(path, POSE)
+    references.keep("grasp", Reference(Z, "object", deviation_m=1e-4))
+    references.keep("retreat", Reference(Z, "camera"))
+    text = path.read_text()
+    assert text.count("speed: 1.0") == 2
+    path.write_text(text.replace("speed: 1.0", "speed: 0.2"))
+    references.keep("grasp", Reference(Z, "object"))
+    grasp, retreat = references.get("grasp"), references.get("retreat")
+    np.testing.assert_allclose(grasp.z, Z, atol=1e-12)
+    assert (grasp.frame, grasp.speed, retreat.frame) == ("object", 0.2, "camera")
+    assert [file.name for file in path.parent.iterdir()] == ["references.yaml"]
+
+
+@each(
+    ("damage", "why"),
+    [
+        (("grasp:", "graps:"), "did you mean graps"),
+        (("x: 0.01", "x: left"), "x is left, expected a number"),
+        (("x: 0.01", "x: .nan"), "x is nan, expected a number"),
+        (("x: 0.01\n", ""), "x is None, expected a number"),
+        (("feature: pose", "feature: ball"), "it is of feature ball, expected pose"),
+        (("speed: 1.0", "speed: 2.0"), "speed is 2, expected more than 0, up to 1"),
+        (("qw:", "qx:"), "qw is None"),
+        (("frame: object", "frame: 3"), "frame is missing"),
+        (("grasp:", "&a\ngrasp:"), "cannot be read"),
+        (("grasp:", "- grasp:"), "cannot be read"),
+    ],
+)
+def test_a_damaged_file_is_refused_with_what_is_wrong(damage, why, tmp_path):
+    path = tmp_path / "references.yaml"
+    references = References(path, POSE)
+    references.keep("grasp", Reference(Z, "object"))
+    path.write_text(path.read_text().replace(*damage))
+    with pytest.raises(ValueError, match=why):
+        references.get("grasp")
+
+
+def test_a_damaged_file_is_not_overwritten(tmp_path):
+    path = tmp_path / "references.yaml"
+    path.write_text("[1, 2")
+    with pytest.raises(ValueError, match="cannot be read"):
+        References(path, POSE).keep("grasp", Reference(Z, "object"))
+    assert path.read_text() == "[1, 2"
