@@ -33,10 +33,10 @@ def test_what_is_kept_is_read_again_beside_others_and_keeps_the_speed_that_was_e
         (("grasp:", "graps:"), "did you mean graps"),
         (("x: 0.01", "x: left"), "x is left, expected a number"),
         (("x: 0.01", "x: .nan"), "x is nan, expected a number"),
-        (("x: 0.01\n", ""), "x is None, expected a number"),
+        (("  x: 0.01\n", ""), "x is None, expected a number"),
         (("feature: pose", "feature: ball"), "it is of feature ball, expected pose"),
         (("speed: 1.0", "speed: 2.0"), "speed is 2, expected more than 0, up to 1"),
-        (("qw:", "qx:"), "qw is None"),
+        (("  qw:", "  qq:"), "qw is None"),
         (("frame: object", "frame: 3"), "frame is missing"),
         (("grasp:", "&a\ngrasp:"), "cannot be read"),
         (("grasp:", "- grasp:"), "cannot be read"),
@@ -44,6 +44,7 @@ def test_what_is_kept_is_read_again_beside_others_and_keeps_the_speed_that_was_e
 )
 def test_a_damaged_file_is_refused_with_what_is_wrong(damage, why, tmp_path):
     path = tmp_path / "references.yaml"
+    path.unlink(missing_ok=True)
     references = References(path, POSE)
     references.keep("grasp", Reference(Z, "object"))
     path.write_text(path.read_text().replace(*damage))
