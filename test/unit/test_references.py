@@ -38,8 +38,7 @@ def test_what_is_kept_is_read_again_beside_others_and_keeps_the_speed_that_was_e
         (("speed: 1.0", "speed: 2.0"), "speed is 2, expected more than 0, up to 1"),
         (("  qw:", "  qq:"), "qw is None"),
         (("frame: object", "frame: 3"), "frame is missing"),
-        (("grasp:", "&a\ngrasp:"), "cannot be read"),
-        (("grasp:", "- grasp:"), "cannot be read"),
+        (("grasp:", "- grasp:"), "expected names of references"),
     ],
 )
 def test_a_damaged_file_is_refused_with_what_is_wrong(damage, why, tmp_path):

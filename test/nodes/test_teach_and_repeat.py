@@ -1,0 +1,76 @@
+"""Teach and repeat with a real controller: the object comes from somebody else's tracker."""
+
+import numpy as np
+from geometry_msgs.msg import PointStamped
+from harness import PlayedRobot, Statuses
+from std_srvs.srv import Trigger
+
+from fvs_ros import ros
+from fvs_ros.kinds.ball import Ball
+
+NAME = "fvs_controller_node"
+
+
+class Kitchen(Statuses):
+    """A controller, a played robot, and an object that is published at 30 Hz."""
+
+    def __init__(self, harness, path):
+        super().__init__(harness, NAME, ros.QOS_EVERY)
+        self.object_m, self.seen = np.array([0.1, 0.05, 1.3]), True
+        harness.start_node("fvs_controller_node.node", references_path=path)
+        self.robot = PlayedRobot(harness)
+        self.robot.meet_controller()
+        name = Ball.topics.object.name
+        self._objects = harness.publisher(PointStamped, name)
+        harness.node.create_timer(1 / 30, self._look)
+
+    def _look(self):
+        if self.seen:
+            message = ros.to_point(self.robot.now_s(), PlayedRobot.FRAME, self.object_m)
+            self._objects.publish(message)
+
+    def call(self, service):
+        return self.harness.call(Trigger, f"{NAME}/{service}")
+
+    def off_m(self, from_object_m):
+        return np.linalg.norm(self.robot.ball - self.object_m - from_object_m)
+
+
+def test_what_is_taught_is_found_again_where_the_object_is(ros_test, tmp_path):
+    path = tmp_path / "references.yaml"
+    kitchen = Kitchen(ros_test, path)
+    taught_m = kitchen.robot.ball - kitchen.object_m
+    taught = []
+    kitchen.wait(
+        lambda: taught.append(kitchen.call("teach")) or taught[-1].success, what="a second"
+    )
+    assert "grasp in the frame object" in taught[-1].message
+    assert "frame: object" in path.read_text()
+
+    kitchen.object_m = kitchen.object_m + [-0.06, 0.04, 0.05]
+    assert kitchen.call("go_to_reference").success
+    started = []
+    kitchen.wait(lambda: started.append(kitchen.call("start")) or started[-1].success, what="READY")
+    kitchen.wait(lambda: kitchen.reason() == "SETTLED", what="SETTLED")
+    assert kitchen.off_m(taught_m) < 0.005
+
+    kitchen.seen = False
+    kitchen.wait(lambda: kitchen.reason() == "STALE", what="a hold")
+    assert "object_position is" in kitchen.text()
+    kitchen.seen = True
+    kitchen.wait(lambda: kitchen.reason() == "SETTLED", what="SETTLED")
+
+    assert kitchen.harness.set_parameters(NAME, reference="place")[0].successful
+    answer = kitchen.call("go_to_reference")
+    assert not answer.success
+    assert "unknown reference 'place'; known are grasp" in answer.message
+    assert kitchen.reason() == "SETTLED"  # the old target stays
+
+
+def test_without_an_object_an_absolute_target_is_taught(ros_test, tmp_path):
+    kitchen = Kitchen(ros_test, tmp_path / "references.yaml")
+    kitchen.seen = False
+    kitchen.harness.spin_for(1.2)  # the object of the last second still counts
+    answer = kitchen.call("teach")
+    assert answer.success, answer.message
+    assert f"in the frame {PlayedRobot.FRAME}" in answer.message
