@@ -79,7 +79,7 @@ setup(
             "fvs_calibrate=fvs_tools.calibrate:main",
             "fvs_train=fvs_tools.train:main",
             "fvs_tag=fvs_tools.tag:main",
-            "fvs_servo=fvs_tools.client:main",
+            "fvs_servo=fvs_tools.client_node:main",
             "fvs_launch=fvs_tools.launcher:main",
             "fvs_experiments=fvs_lab.main:main",
         ],

@@ -19,7 +19,7 @@ _FACE = {
     "EstimationLoop": "fvs_estimator_node.loop",
     "Estimator": "fvs_estimator_node.base",
     "MotionStep": "fvs_estimator_node.base",
-    "ServoClient": "fvs_tools.client",
+    "ServoClient": "fvs_tools.client_node",
     "ServoLoop": "fvs_controller_node.loop",
     "SimConfig": "fvs_sim_node.simulation",
     "Simulation": "fvs_sim_node.simulation",

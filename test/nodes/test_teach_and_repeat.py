@@ -80,7 +80,7 @@ def test_the_program_teaches_and_goes_there(ros_test, tmp_path):
     taught_m = kitchen.robot.ball - kitchen.object_m
 
     def run(*arguments):
-        process = kitchen.harness.start("fvs_tools.client", *arguments)
+        process = kitchen.harness.start("fvs_tools.client_node", *arguments)
         return kitchen.harness.wait(process, 40.0), kitchen.harness.output(process)
 
     code, words = run("teach", "grasp")

@@ -27,7 +27,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
-from fvs_ros.arguments import Parser, one_of
+from fvs_ros.arguments import Parser
 from fvs_ros.stop import EXIT_FAILURE, EXIT_OK
 
 #: A service answers within this time, s, or nobody is there.
@@ -109,9 +109,14 @@ class ServoClient:
     def follow(self, name: str) -> str:
         """Go to a reference and stay with its object; returns at once."""
         self._choose(name)
-        answer = self._call("go_to_reference")
-        self._call("start")
-        return answer
+        answer, end_s = self._call("go_to_reference"), time.monotonic() + _ANSWER_S
+        while True:
+            response = self._ask(Trigger, "start", Trigger.Request())
+            if response.success:
+                return answer
+            if time.monotonic() > end_s:
+                raise ServoError(response.message)
+            self._next_status()  # what is missing may be on its way
 
     def go_to(
         self, name: str, timeout_s: float = 30.0, feedback: Callable[[str], None] | None = None
@@ -221,7 +226,7 @@ def _do(client: ServoClient, given: argparse.Namespace) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("fvs_servo", __doc__)
-    parser.add_argument("verb", metavar="VERB", type=one_of("verb", _VERBS), help=", ".join(_VERBS))
+    parser.add_argument("verb", metavar="VERB", choices=_VERBS, help=", ".join(_VERBS))
     parser.add_argument("names", nargs="*", metavar="NAME", help="of references")
     parser.add_argument("--timeout-s", type=float, default=30.0, help="for each reference, s")
     parser.add_argument("--namespace", default="", help="the controller's")
