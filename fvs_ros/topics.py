@@ -131,8 +131,8 @@ def kind_topics(
             seen_object[0],
             message_type,
             seen_object[1],
-            (SIM, DETECTOR),
-            (CONTROLLER, DASHBOARD),
+            (),
+            (CONTROLLER,),
             also_from="your own detector",
         ),
         sliding=Topic(
