@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from operator import lt
 from typing import Any
 
@@ -14,7 +13,7 @@ from fvs_controller_node.minimum_time import MinimumTimeLaw
 from fvs_controller_node.proportional import MfacLaw, MpcLaw, ProportionalLaw
 from fvs_controller_node.redundancy import RedundancyConfig
 from fvs_ros.interface import CommandInterface
-from fvs_ros.kinds import Kind, KindConfig
+from fvs_ros.kinds import KindConfig
 from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterError, Parameters, ParameterSet, live_parameter, parameter
 
@@ -135,11 +134,6 @@ class SupervisorConfig(JointLimits, KindConfig):
             raise ParameterError(
                 f"a {kind.name} needs {kind.least_joints} joints or more, got {joints}"
             )
-
-    @cached_property
-    def kind(self) -> Kind:
-        """The kind of feature."""
-        return super().kind
 
     @property
     def growth_time_s(self) -> float:

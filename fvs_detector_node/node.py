@@ -24,7 +24,7 @@ from fvs_detector_node.detectors import make_detector
 from fvs_detector_node.pairing import Pair, Pairing
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
-from fvs_ros.kinds import kind_of
+from fvs_ros.kinds import KINDS
 from fvs_ros.ros.images import from_color, from_depth
 from fvs_ros.ros.inputs import ArrivalMonitor
 from fvs_ros.topics import CAMERA_PREFIXES
@@ -48,7 +48,7 @@ class DetectorNode(ros.FvsNode):
         super().__init__("fvs_detector_node", PARAMETERS)
         cv2.setNumThreads(1)  # threads have no benefit for one small image at a time
         self._config = DetectorConfig.from_values(self.values)
-        self._kind = kind_of(self._config.feature)
+        self._kind = KINDS[self._config.feature]()
         self._detector = make_detector(self._config)
         # A little less than half the period at 30 Hz.
         self._pairing = Pairing(0.015, self._detector.needs_depth)

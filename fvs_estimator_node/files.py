@@ -19,7 +19,7 @@ import numpy as np
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
-from fvs_ros.kinds import KINDS, Kind, KindConfig, kind_of
+from fvs_ros.kinds import KINDS, Kind, KindConfig
 from fvs_ros.timeline import Sample
 from fvs_ros.vectors import check_arrays
 
@@ -55,7 +55,7 @@ class _OfFeature:
     @property
     def kind(self) -> Kind:
         """The kind of feature, with the usual lever arm."""
-        return kind_of(self.feature)
+        return KINDS[self.feature]()
 
     def _check_numbers(self, values: np.ndarray) -> None:
         """A ``ValueError`` if the rows of an array, (k, m), are no measurements of the kind."""

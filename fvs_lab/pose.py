@@ -75,7 +75,7 @@ def rest(row: Mapping[str, Any]) -> dict[str, float]:
         np.array([kind.minus(pose, target_m) for pose in series["feature_m"][last]])
     )
     position_m, arc_m = (float(np.sqrt(np.mean(part**2))) for part in parts.values())
-    return {"rest_m": position_m, "rest_deg": float(np.degrees(arc_m / kind.lever_arm_m))}
+    return {"rest_m": position_m, "rest_deg": float(np.degrees(arc_m / kind.unit[-1]))}
 
 
 def at_rest(count: int) -> Iterator[Trial]:

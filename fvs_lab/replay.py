@@ -20,7 +20,7 @@ from fvs_lab.figures import bound_line, grid, legend, save
 from fvs_ros import topics
 from fvs_ros.arguments import Parser
 from fvs_ros.joints import JointMap
-from fvs_ros.kinds import KINDS, Kind, kind_of
+from fvs_ros.kinds import KINDS, Kind, KindConfig
 from fvs_ros.status import SILENT_S, vector
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_ros.vectors import plausible
@@ -114,7 +114,7 @@ def read(path: Path, namespace: str | None = None) -> Recording:
         if kinds:
             started.setdefault("feature", kinds[0])
         started = default_values() | started
-        kind = kind_of(started["feature"], started["lever_arm_m"])
+        kind = KindConfig.from_values(started).kind
         joint_map = JointMap(started["joint_names"], started["tf_prefix"])
         keys = {
             topics.JOINT_STATES: "joints",

@@ -15,7 +15,7 @@ from fvs_lab.contestants import CONTESTANTS, ORACLE
 from fvs_lab.results import Results
 from fvs_lab.trials import Bump, Conditions, Trial, along, make_cases, sees_all
 from fvs_ros.arguments import unknown
-from fvs_ros.kinds import kind_of
+from fvs_ros.kinds import KINDS
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
@@ -176,7 +176,7 @@ EXPERIMENTS = {
         claims,
         TABLES,
         {**globals(), "kind": worlds},
-        model=kind_of(worlds.feature).model,
+        model=KINDS[worlds.feature].model,
     )
     for worlds in (EVERYDAY, HARSH, replace(EVERYDAY, name="tags", seed=306, feature=Pose.name))
 }

@@ -213,7 +213,7 @@ class Parameters:
     def declared(cls, prefix: str = "") -> tuple[Parameter, ...]:
         """All its parameters as a node declares them, each name after the prefix."""
         own = (replace(item, name=prefix + item.name) for item in _own(cls))
-        nested = (item for part in _parts(cls).values() for item in part.declared(prefix))
+        nested = (item for part in parts_of(cls).values() for item in part.declared(prefix))
         return (*own, *nested)
 
     @classmethod
@@ -221,7 +221,7 @@ class Parameters:
         """Take the values that are its own, by name after the prefix; the others default."""
         own = {member.name: prefix + member.name for member in fields(cls)}
         taken = {name: values[long] for name, long in own.items() if long in values}
-        parts = {name: part.from_values(values, prefix) for name, part in _parts(cls).items()}
+        parts = {name: part.from_values(values, prefix) for name, part in parts_of(cls).items()}
         return cls(**{**taken, **parts})
 
 
@@ -231,7 +231,8 @@ def _own(cls: type) -> Iterator[Parameter]:
             yield replace(member.metadata[_DECLARED], name=member.name)
 
 
-def _parts(cls: type) -> dict[str, type[Parameters]]:
+def parts_of(cls: type) -> dict[str, Any]:
+    """The classes of parameters that a class of parameters holds, by the fields' names."""
     made: dict[str, Any] = {member.name: member.default_factory for member in fields(cls)}
     return {
         name: part

@@ -19,7 +19,7 @@ from fvs_detector_node.images import Region
 from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.chain import SerialChain
 from fvs_ros.interface import VELOCITY
-from fvs_ros.kinds import Kind, kind_of
+from fvs_ros.kinds import KINDS, Kind
 from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.camera import RigidPose
 from fvs_sim_node.config import SimConfig
@@ -76,7 +76,7 @@ class Simulation:
     def __init__(self, config: SimConfig | None = None) -> None:
         cv2.setNumThreads(1)  # one small image at a time: threads only cost
         config = config or SimConfig()
-        self.kind = kind_of(config.feature)
+        self.kind = KINDS[config.feature]()
         self.intrinsics = config.intrinsics
         self.world = World(config)
         self._actuator = Actuator(

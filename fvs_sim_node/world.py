@@ -17,7 +17,8 @@ import numpy as np
 from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
-from fvs_ros.kinds import Kind, kind_of
+from fvs_ros.kinds import Kind
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.urdf import UrdfJoint
 from fvs_sim_node.camera import RigidPose, add_depth_noise
@@ -255,7 +256,7 @@ class World:
     @cached_property
     def chain(self) -> SerialChain:
         """The arm's axes and its ball, world frame: the truth, for many joint angles at once."""
-        return self.chain_with(kind_of("ball"))
+        return self.chain_with(Ball())
 
     def chain_with(self, kind: Kind) -> SerialChain:
         """The same with what is measured of ball or tag."""

@@ -22,7 +22,7 @@ from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.interface import POSITION, PositionPath
-from fvs_ros.kinds import KindConfig, kind_of
+from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.limits import with_urdf_limits
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import Simulation
@@ -40,15 +40,15 @@ def make_estimator(
     simulation: Simulation,
     values: Mapping[str, Any] | None = None,
     model: str = "",
-    lever_arm_m: float = KindConfig.lever_arm_m,
+    kind: Kind | None = None,
 ) -> Estimator:
     """Build an estimator by its name in the registry, as its node does.
 
     ``values`` are the node's parameters where they differ from the defaults, ``model`` is a file or
     a name in the project's ``config`` folder; empty: that of the package. The oracle asks the
-    simulation itself. The lever arm is the controller's.
+    simulation itself. The kind is the controller's; by default with the usual parameters.
     """
-    kind = kind_of(simulation.config.feature, lever_arm_m)
+    kind = kind or simulation.kind
     if method == "oracle":
         truth = partial(simulation.true_jacobian, kind=kind)
         return OracleEstimator(truth, kind=kind)
@@ -98,10 +98,8 @@ class ClosedLoop:
         chosen = scheme_called(scheme) if isinstance(scheme, str) else scheme
         simulation = simulation or Simulation()
         values = {"law": chosen.law, **chosen.controller_values, **controller_values}
-        lever_arm_m = values.get("lever_arm_m", KindConfig.lever_arm_m)
-        estimator = make_estimator(
-            chosen.method, simulation, chosen.estimator_values, lever_arm_m=lever_arm_m
-        )
+        kind = KindConfig.from_values({**values, "feature": simulation.config.feature}).kind
+        estimator = make_estimator(chosen.method, simulation, chosen.estimator_values, kind=kind)
         return cls(simulation, estimator, values)
 
     @property

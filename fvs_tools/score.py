@@ -43,7 +43,7 @@ def judge(
     final, longer_m = time_s >= time_s[-1] - FINAL_S, largest_part_m(kind, errors_m)
     distance_m, arc_m = (kind.parts_m(errors_m).get(name) for name in ("way_m", "arc_m"))
     assert distance_m is not None
-    final_rad = None if arc_m is None else _rms(arc_m[final]) / kind.lever_arm_m
+    final_rad = None if arc_m is None else _rms(arc_m[final]) / kind.unit[-1]
     return TargetScore(
         start_distance_m=float(distance_m[0]),
         settling_5mm_s=settling_time_s(time_s, longer_m, SETTLED_ERROR_M),

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fvs_estimator_node.files import DataSet, data_set_of
-from fvs_ros.kinds import KINDS, kind_of
+from fvs_ros.kinds import KINDS
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import rotation_from_quaternion
 from fvs_ros.timeline import Sample, Timeline
@@ -94,9 +94,7 @@ def _data_set(
 ) -> tuple[DataSet, Kinematics | None]:
     of_hand, timed = _HAND[0] in names, _STAMP in names
     # The one with most columns, if its last is there.
-    kind = kind_of(
-        max(KINDS, key=lambda k: len(KINDS[k].columns) * (KINDS[k].columns[-1] in names))
-    )
+    kind = max(KINDS.values(), key=lambda k: len(k.columns) * (k.columns[-1] in names))()
     joint_names = tuple(name for name in names if name not in (_STAMP, *kind.columns))
     joints = _part(names, table, _HAND if of_hand else joint_names)
     images = _part(names, table, kind.columns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from fvs_ros.topics import kind_topics
 from fvs_ros.vectors import plausible
 
 
+@dataclass(frozen=True)
 class Ball(Kind):
     """z is the ball's centre, m, (3,)."""
 

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from fvs_ros.chain import cross_matrix
+from fvs_ros.params import Parameters
 from fvs_ros.topics import KindTopics
 from fvs_ros.vectors import length
 
 
-class Kind:
+@dataclass(frozen=True)
+class Kind(Parameters):
     """A measurement is m numbers z; a motion of it is a tangent vector of d lengths, m.
 
     This class is the kind whose numbers are lengths themselves, so that z is a vector and d is m.
-    Other kinds override what differs.
+    Other kinds override what differs, and declare their parameters.
 
     Attributes
     ----------
@@ -31,10 +35,6 @@ class Kind:
         Names of the numbers that a person writes of a measurement.
     axes : tuple of str
         Names of the d components of a tangent vector.
-    unit : ndarray, shape (d,)
-        Length, m, of what a message gives as 1.
-    weights : ndarray, shape (m,)
-        Length, m, of a unit of each number of z.
     box_size : int
         Count of the first numbers of z that a workspace box bounds; 0 without one.
     outliers : float
@@ -46,18 +46,22 @@ class Kind:
     """
 
     name = what = model = ""
-    topics: KindTopics
-    columns: tuple[str, ...] = ("x", "y", "z")
-    axes: tuple[str, ...] = ()
-    unit: np.ndarray
-    weights: np.ndarray
+    topics: ClassVar[KindTopics]
+    columns: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+    axes: ClassVar[tuple[str, ...]] = ()
     outliers = 0.01
     box_size, least_joints = 3, 1
     flat = True
 
-    def __init__(self, lever_arm_m: float = 1.0) -> None:
-        self.lever_arm_m = lever_arm_m
-        self.unit = self.weights = np.ones(len(self.axes))
+    @cached_property
+    def unit(self) -> np.ndarray:
+        """Length of what a message gives as 1, m, (d,)."""
+        return np.ones(len(self.axes))
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Length of a unit of each number of z, m, (m,)."""
+        return np.ones(len(self.axes))
 
     @property
     def numbers(self) -> int:

@@ -9,6 +9,8 @@ are coordinates in an orthonormal basis.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from math import degrees, pi
 from typing import Any
 
@@ -16,6 +18,7 @@ import numpy as np
 
 from fvs_ros.chain import cross_matrix
 from fvs_ros.kinds.kind import Kind
+from fvs_ros.params import parameter
 from fvs_ros.rotations import (
     nearest_rotation,
     quaternion_from_rotation,
@@ -32,6 +35,7 @@ _HALF_TURN_RAD = 0.9 * pi
 _HALF_EDGE_M = 0.05
 
 
+@dataclass(frozen=True)
 class Pose(Kind):
     """The pose of a tag; ``lever_arm_m`` is L."""
 
@@ -55,11 +59,23 @@ class Pose(Kind):
         ("object_pose", "The same of an object, for targets relative to it; optional."),
     )
 
-    def __init__(self, lever_arm_m: float = 0.3) -> None:
-        super().__init__(lever_arm_m)
-        self.unit = np.repeat([1.0, lever_arm_m], 3)
-        self._arm_m = lever_arm_m / 2.0**0.5
-        self.weights = np.repeat([1.0, self._arm_m], [3, 9])
+    lever_arm_m: float = parameter(
+        0.3,
+        "Lever arm: converts rotation to length, m per rad; for pose. Limits and gains of lengths "
+        "then hold for rotation, too.",
+        0.1,
+        1.0,
+    )
+
+    @cached_property
+    def unit(self) -> np.ndarray:
+        """A metre, and the length of a radian, m, (6,)."""
+        return np.repeat([1.0, self.lever_arm_m], 3)
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """A metre, and the length of an axis, m, (12,)."""
+        return np.repeat([1.0, self.lever_arm_m / 2.0**0.5], [3, 9])
 
     def read(self, message: Any) -> np.ndarray:
         """Pose of a ``PoseStamped``, (12,)."""
@@ -172,7 +188,7 @@ class Pose(Kind):
 
     def directions(self, z: np.ndarray) -> np.ndarray:
         """The axes, weighted, m, (3, 3): one a row."""
-        return self._arm_m * z[3:].reshape(3, 3)
+        return self.weights[-1] * z[3:].reshape(3, 3)
 
     def text(self, z: np.ndarray) -> str:
         """A pose in words."""

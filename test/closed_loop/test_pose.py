@@ -39,7 +39,7 @@ def test_rendered_images_bring_it_to_rest_within_a_millimetre_and_a_tenth_of_a_d
     errors = [loop.kind.minus(loop.true_feature, target) for _ in range(125) if loop.tick()]
     way_m, arc_m = np.sqrt(np.mean(np.square(errors), axis=0)).reshape(2, 3)
     assert np.linalg.norm(way_m) < 1e-3
-    assert np.linalg.norm(arc_m) / loop.kind.lever_arm_m < np.radians(0.1)
+    assert np.linalg.norm(arc_m) / loop.kind.unit[-1] < np.radians(0.1)
 
 
 def test_a_camera_that_is_turned_and_moved_costs_little_time():

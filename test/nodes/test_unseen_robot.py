@@ -15,10 +15,10 @@ from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import SerialChain
 from fvs_ros.joints import UR_JOINT_NAMES
-from fvs_ros.kinds import kind_of
+from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import rotation_from_vector
 
-KIND = kind_of("pose")
+KIND = Pose()
 TOOL, TARGET = KIND.topics.tool.name, KIND.topics.target.name
 NAMES = [*UR_JOINT_NAMES, "wrist_4_joint"]
 PERIOD_S, LAG_S, NOISE_M, COLLECT_S = 1.0 / 60.0, 0.02, 0.001, 15.0

@@ -180,7 +180,7 @@ def test_a_pose_is_read_as_a_pose_and_not_as_a_ball(tmp_path):
     save_data_set(tmp_path / "d.npz", DataSet(np.arange(12.0), joints, seen, np.zeros(12), **of))
     model = TrainedModel(networks, **trained_on, joint_names=UR_JOINT_NAMES, chain=chain, **of)
     save_model(tmp_path / "m.npz", model)
-    wanted = KindConfig("lens", "pose")
+    wanted = KindConfig("lens", feature="pose")
     data = load_data_set(tmp_path / "d.npz", expected=wanted)
     np.testing.assert_array_equal(data.z, seen)
     back = load_model(tmp_path / "m.npz", expected=wanted)

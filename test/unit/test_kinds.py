@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseStamped
 from scipy.spatial.transform import Rotation
 
 from fvs_ros.chain import SerialChain
-from fvs_ros.kinds import KINDS, kind_of
+from fvs_ros.kinds import KINDS
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import (
     nearest_rotation,
@@ -80,7 +80,7 @@ def test_tangent_vectors_are_derivatives_of_the_weighted_numbers(rng):
 
 @pytest.mark.parametrize("name", KINDS)
 def test_a_kind_moves_with_the_twists_of_a_chain(rng, name):
-    kind = kind_of(name, LEVER_M)
+    kind = KINDS[name]()
     carried = kind.of_body(rng.normal(size=3), Rotation.random(random_state=rng).as_matrix())
     slide = np.array([0.0, 1.0, 0.0, 0.0])
     chain = SerialChain(*rng.normal(size=(2, 4, 3)), carried, rng.normal(size=4), slide)
