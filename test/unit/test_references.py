@@ -5,10 +5,10 @@ import pytest
 from cases import each
 
 from fvs_controller_node.references import Reference, References
-from fvs_ros.kinds import kind_of
+from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import rotation_from_vector
 
-POSE = kind_of("pose")
+POSE = Pose()
 Z = POSE.of_body(np.array([0.01, -0.2, 0.3]), rotation_from_vector(np.array([0.1, 2.0, -1.0])))
 
 
