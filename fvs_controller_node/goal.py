@@ -114,16 +114,17 @@ class Progress:
 
     def check(self, config: SupervisorConfig) -> Finding | None:
         """Find an error that grows, swings or stalls."""
-        error_mm = inf if self._smooth_m is None else 1e3 * self._smooth_m
+        text, error_m = config.kind.length_text, inf if self._smooth_m is None else self._smooth_m
         if self._up_s >= config.growth_time_s:
-            best_mm = 1e3 * float(self._best.error)
             return Reason.ERROR_GROWING.because(
-                best_mm=best_mm, error_mm=error_mm, time_s=config.growth_time_s
+                best=text(float(self._best.error)),
+                error=text(error_m),
+                time_s=config.growth_time_s,
             )
         if self._swings_m > _SWINGS_M + 2.0 * self._first_m:
-            return Reason.OSCILLATING.because(what=config.kind.what, distance_m=self._swings_m)
+            return Reason.OSCILLATING.because(what=config.kind.what, distance=text(self._swings_m))
         if self._since_s >= config.stall_time_s:
-            return Reason.STALLED.because(time_s=config.stall_time_s, error_mm=error_mm)
+            return Reason.STALLED.because(time_s=config.stall_time_s, error=text(error_m))
         return None
 
 

@@ -158,8 +158,8 @@ class ServoLoop:
         there_s = on_own_clock(stamp_s, self._stamp_s)
         target = self._relation.add_image(z, there_s)
         if self._relation.moved_m:
-            moved_mm = 1e3 * self._relation.moved_m
-            self.supervisor.end(Reason.OBJECT_MOVED.because(moved_mm=moved_mm))
+            moved = self.kind.length_text(self._relation.moved_m)
+            self.supervisor.end(Reason.OBJECT_MOVED.because(moved=moved))
         if target is not None:
             self._set_target(
                 target, self.supervisor.config.feature_frame, there_s, self._stamp_s - there_s

@@ -46,11 +46,12 @@ class PredictionMonitor:
 
         ``moved_rad`` is the joints' motion since the last tick, (n,).
         """
+        text = config.kind.length_text
         if verdict is not None and verdict.seen_share < LEAST_SEEN:
             return Reason.IMAGE_NOT_FOLLOWING.because(
                 time_s=verdict.time_s,
-                predicted_mm=1e3 * verdict.predicted_m,
-                seen_mm=1e3 * verdict.seen_share * verdict.predicted_m,
+                predicted=text(verdict.predicted_m),
+                seen=text(verdict.seen_share * verdict.predicted_m),
             )
         if verdict is None or verdict.error_ratio <= config.prediction_hold:
             self._mispredicted_m = 0.0
@@ -61,7 +62,7 @@ class PredictionMonitor:
         return Reason.PREDICTION_ERROR.because(
             value=verdict.error_ratio,
             limit=config.prediction_hold,
-            distance_mm=1e3 * config.prediction_hold_m,
+            distance=text(config.prediction_hold_m),
         )
 
 

@@ -196,10 +196,9 @@ class ControllerNode(ros.FvsNode):
             references.keep(name, taught)
         except (ValueError, OSError) as error:
             return False, f"not taught: {error}"
-        where = self._kind.text(taught.z)
-        deviation_mm = 1e3 * taught.deviation_m
+        where, deviation = self._kind.text(taught.z), self._kind.length_text(taught.deviation_m, 2)
         return True, (
-            f"taught {name} in the frame {taught.frame}: {where}, +-{deviation_mm:.2f} mm; "
+            f"taught {name} in the frame {taught.frame}: {where}, +-{deviation}; "
             f"written to {references.path}"
         )
 

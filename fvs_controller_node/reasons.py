@@ -62,19 +62,19 @@ class Reason(Enum):
         "call ~/start to move slowly to another target, or call the estimator's ~/reset",
     )
     PREDICTION_ERROR = _ends(
-        "the Jacobian predicts badly: error ratio {value:.2f} over {distance_mm:.0f} mm",
+        "the Jacobian predicts badly: error ratio {value:.2f} over {distance}",
         "check camera and model, call the estimator's ~/reset",
     )
     ERROR_GROWING = _ends(
-        "the error has grown for {time_s:.1f} s: {best_mm:.0f} to {error_mm:.0f} mm",
+        "the error has grown for {time_s:.1f} s: {best} to {error}",
         "check camera and model, or choose a reachable target",
     )
     STALLED = _ends(
-        "no progress for {time_s:.0f} s, {error_mm:.0f} mm from the target",
+        "no progress for {time_s:.0f} s, {error} from the target",
         "choose a reachable target, or check joint limits and model",
     )
     OSCILLATING = _ends(
-        "the {what} oscillates about its target: {distance_m:.1f} m so far",
+        "the {what} oscillates about its target: {distance} so far",
         "check stamp_delay_s and gains",
     )
     NOT_FOLLOWING = _ends(
@@ -82,11 +82,11 @@ class Reason(Enum):
         "check that its controller is active, the robot program runs and no protective stop is on",
     )
     IMAGE_NOT_FOLLOWING = _ends(
-        "the image does not follow the arm: {predicted_mm:.0f} mm predicted in {time_s:.1f} s, "
-        "{seen_mm:.0f} mm measured",
+        "the image does not follow the arm: {predicted} predicted in {time_s:.1f} s, "
+        "{seen} measured",
         "check camera, detector and stamp_delay_s",
     )
-    OBJECT_MOVED = _ends("the object moved by {moved_mm:.0f} mm while it was hidden")
+    OBJECT_MOVED = _ends("the object moved by {moved} while it was hidden")
     CONFLICT = _ends("{name} commands the arm as well", "stop it")
     HELD_LONG = _ends("held for more than {limit_s:.0f} s: {why}")
     PROGRAM_STOPPED = _ends("the robot program stopped", "start it on the robot", Stop.AT_ONCE)

@@ -143,6 +143,7 @@ class _Second:
         first_m, second_m = steps_m[: count // 2].mean(axis=0), steps_m[count // 2 :].mean(axis=0)
         drift_m = float(np.sqrt(np.mean((second_m - first_m) ** 2)))
         if drift_m > OUTLIER * np.sqrt(4.0 * noise_m2 / count) + 1e-9:
-            raise ValueError(f"{name} moved by {2e3 * drift_m:.1f} mm in the last second")
+            moved = self._kind.length_text(2.0 * drift_m, 1)
+            raise ValueError(f"{name} moved by {moved} in the last second")
         mean = self._kind.retract(images[-1], steps_m.mean(axis=0))
         return mean, float(np.sqrt(noise_m2 / count))

@@ -192,9 +192,13 @@ class Kind(Parameters):
         """A measurement in words."""
         return f"({', '.join(f'{number:.3f}' for number in z)}) m"
 
+    def length_text(self, length_m: float, digits: int = 0) -> str:
+        """A length, m, in words."""
+        return f"{1e3 * length_m:.{digits}f} mm"
+
     def error_text(self, error_m: np.ndarray) -> str:
         """An error, m, (d,), in words."""
-        return f"{1e3 * length(error_m):.1f} mm"
+        return self.length_text(length(error_m), 1)
 
     def parts_m(self, errors_m: np.ndarray) -> dict[str, np.ndarray]:
         """Lengths, m, (...), of the parts of errors, m, (..., d), each of which is to vanish."""

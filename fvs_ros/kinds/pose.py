@@ -199,7 +199,9 @@ class Pose(Kind):
     def error_text(self, error_m: np.ndarray) -> str:
         """An error, m, (6,), in words."""
         parts = self.status_values(error_m)
-        return f"{1e3 * parts['way_m']:.1f} mm and {degrees(parts['angle_rad']):.2f} degrees"
+        return (
+            f"{self.length_text(parts['way_m'], 1)} and {degrees(parts['angle_rad']):.2f} degrees"
+        )
 
     def parts_m(self, errors_m: np.ndarray) -> dict[str, np.ndarray]:
         """Lengths, m, (...), of the ways and of the arcs of errors, m, (..., 6)."""
