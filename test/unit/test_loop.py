@@ -7,7 +7,6 @@ from cases import each
 from fvs_controller_node.config import LAWS, default_values
 from fvs_controller_node.loop import ServoLoop
 from fvs_ros.chain import SerialChain
-from fvs_ros.kinds import KINDS
 from fvs_ros.kinds.ball import Ball
 
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
@@ -101,10 +100,8 @@ def test_an_overtaken_target_is_passed_over_whether_the_newer_one_stands_or_move
 def test_every_law_drives_any_number_of_features_with_any_number_of_joints(
     monkeypatch, law, features, joints
 ):
-    class Numbers(Ball):
-        axes, box_size = tuple("abcdefgh"[:features]), features
-
-    monkeypatch.setitem(KINDS, "ball", Numbers)
+    monkeypatch.setattr(Ball, "axes", tuple("abcdefgh"[:features]))
+    monkeypatch.setattr(Ball, "box_size", features)
     loop = ServoLoop(
         default_values(
             law=law,
