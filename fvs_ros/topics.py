@@ -328,14 +328,3 @@ ESTIMATOR_STATUS, CONTROLLER_STATUS, DETECTOR_STATUS = (
 
 #: All but those of the kinds of features.
 COMMON = tuple(value for value in list(vars().values()) if isinstance(value, Topic))
-
-
-def resolve(name: str, node: str, namespace: str = "") -> str:
-    """The full name of a topic or service that a node uses, where nothing is remapped.
-
-    The namespace may have slashes at its ends.
-    """
-    if name.startswith("/"):
-        return name
-    parts = [namespace.strip("/"), name.replace("~", node, 1)]
-    return "/" + "/".join(part for part in parts if part)

@@ -11,15 +11,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import yaml
 from rosbags import interfaces
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_typestore
 
 #: The types of messages that a bag of Jazzy may hold.
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-#: Holds the notes until ``metadata.yaml`` is written; a killed recorder leaves it behind.
-NOTES: Final = "notes.yaml"
 #: What writing into a bag may raise.
 ERRORS: Final = (OSError, WriterError)
 
@@ -82,8 +79,6 @@ class Bag:
         for key, value in notes.items():
             self._writer.set_custom_data(key, value)
         self._writer.open()
-        self._notes = folder / NOTES
-        self._notes.write_text(yaml.safe_dump(dict(notes)), encoding="utf-8")
         self._connections: dict[str, Any] = {}
         self._chunk_ns = 0
         #: Messages by topic.
@@ -115,7 +110,6 @@ class Bag:
             with contextlib.suppress(*ERRORS):
                 self._writer.abort()
             raise
-        self._notes.unlink(missing_ok=True)
 
 
 def _bag_qos(profile: Any) -> interfaces.Qos:

@@ -8,7 +8,7 @@ passed over.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +19,7 @@ from rosbags.rosbag2.storage_mcap import McapReader, Schema, zstd
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from fvs_ros.yaml_text import read_yaml_file
-from fvs_tools.bag import NOTES, TYPES
+from fvs_tools.bag import TYPES
 
 _METADATA, _MCAP, _SQLITE = "metadata.yaml", ".mcap", ".db3"
 _COMPRESSED = (".zstd", ".zst")
@@ -36,11 +36,9 @@ class BagError(ValueError):
 class BagReader:
     """An open bag: its topics, and their messages."""
 
-    def __init__(self, storages: Collection[Any], notes: Mapping[str, Any], cut_off: bool) -> None:
+    def __init__(self, storages: Collection[Any], cut_off: bool) -> None:
         #: Whether its recorder never finished it, or a part of it is missing.
         self.cut_off = cut_off
-        #: What its recorder noted (``custom_data``).
-        self.notes = notes
         self._storages = storages
         #: One for each topic of each file.
         self.connections: list[Connection] = [
@@ -84,11 +82,11 @@ def open_bag(path: Path) -> Iterator[BagReader]:
     """
     try:
         with ExitStack() as stack:
-            files, notes, cut_off = _find(path)
+            files, cut_off = _find(path)
             space = Path(stack.enter_context(TemporaryDirectory(prefix="fvs_bag_")))
             storages = [_opened(file, space / str(i), stack) for i, file in enumerate(files)]
             cut_off |= any(getattr(storage, "cut_off", False) for storage in storages)
-            reader = BagReader(storages, notes, cut_off)
+            reader = BagReader(storages, cut_off)
             if reader.cut_off and not reader.connections:
                 raise BagError("it was cut off before any message was written into it")
             yield reader
@@ -103,13 +101,14 @@ def open_bag(path: Path) -> Iterator[BagReader]:
         ) from error
 
 
-def _find(path: Path) -> tuple[list[Path], Mapping[str, Any], bool]:
-    """A bag's files, its recorder's notes, and whether it is incomplete."""
+def _find(path: Path) -> tuple[list[Path], bool]:
+    """A bag's files, and whether it is incomplete."""
     if not path.exists():
         raise BagError("there is no such file or folder")
     folder = path if path.is_dir() else path.parent
-    metadata = _yaml(folder / _METADATA).get("rosbag2_bagfile_information", {})
-    notes = metadata.get("custom_data") or _yaml(folder / NOTES)
+    metadata: dict[str, Any] = {}
+    with suppress(OSError, ValueError, AttributeError):  # there may be none, or a damaged one
+        metadata = read_yaml_file(folder / _METADATA).get("rosbag2_bagfile_information", {})
     files, named = [path], list[Path]()
     if path.is_dir() or path.name == _METADATA:
         named = [folder / Path(name).name for name in metadata.get("relative_file_paths", [])]
@@ -120,15 +119,7 @@ def _find(path: Path) -> tuple[list[Path], Mapping[str, Any], bool]:
         raise BagError(f"it holds neither {_METADATA} nor an {_MCAP} file")
     # A database without metadata lacks what was still in the recorder's memory.
     unfinished = not metadata and _kind(files[0]) == _SQLITE
-    return files, notes, unfinished or len(files) < len(named)
-
-
-def _yaml(path: Path) -> dict[str, Any]:
-    """The mapping in a YAML file; empty where there is no such file, or it is damaged."""
-    content = None
-    with suppress(OSError, ValueError):
-        content = read_yaml_file(path)
-    return content if isinstance(content, dict) else {}
+    return files, unfinished or len(files) < len(named)
 
 
 def _kind(path: Path) -> str:

@@ -62,8 +62,8 @@ class TargetRecord:
     kind: Kind
     target: np.ndarray
     start_s: float
-    #: Whether late inputs held the arm.
-    slowed: bool = False
+    #: What to say behind its row of the table.
+    note: str = ""
     #: Moments, s, and true features.
     truths: list[tuple[float, np.ndarray]] = field(default_factory=list)
     #: Moments, s, and joint velocities, rad/s.
@@ -80,37 +80,38 @@ class TargetRecord:
         return judge(self.kind, *self.errors_m(), velocities)
 
 
-def table(scores: Sequence[TargetScore], notes: Sequence[str]) -> str:
-    """The scores as text, with a note behind each."""
+def table(records: Sequence[TargetRecord]) -> str:
+    """The scores as text, the verdict first."""
 
     def seconds(value: float | None) -> str:
         return "never" if value is None else f"{value:.2f} s"
 
+    scores = [record.score() for record in records]
+    settled = sum(score.settling_5mm_s is not None for score in scores)
     width = max([9, *(len(score.final) for score in scores)])
-    head = (
+    lines = [
+        f"{settled} of {len(records)} targets settled",
         f"{'target':>6}  {'start':>8}  {f'to {SETTLED_ERROR_M * 1e3:g} mm':>9}  "
-        f"{f'to {FINE_ERROR_M * 1e3:g} mm':>9}  {'final rms':>{width}}  {'peak joint speed':>16}"
-    )
-    rows = [
-        f"{number:>6}  {s.start_distance_m * 1e3:>5.0f} mm  {seconds(s.settling_5mm_s):>9}  "
-        f"{seconds(s.settling_2mm_s):>9}  {s.final:>{width}}  "
-        f"{s.peak_joint_speed_rad_s:>10.2f} rad/s" + (f"  {note}" if note else "")
-        for number, (s, note) in enumerate(zip(scores, notes, strict=True), start=1)
+        f"{f'to {FINE_ERROR_M * 1e3:g} mm':>9}  {'final rms':>{width}}  {'peak joint speed':>16}",
     ]
-    return "\n".join([head, *rows])
+    for number, (score, record) in enumerate(zip(scores, records, strict=True), start=1):
+        row = (
+            f"{number:>6}  {score.start_distance_m * 1e3:>5.0f} mm  "
+            f"{seconds(score.settling_5mm_s):>9}  {seconds(score.settling_2mm_s):>9}  "
+            f"{score.final:>{width}}  {score.peak_joint_speed_rad_s:>10.2f} rad/s  {record.note}"
+        )
+        lines.append(row.rstrip())
+    return "\n".join(lines)
 
 
-def write_results(folder: Path, records: list[TargetRecord], scores: list[TargetScore]) -> None:
+def write_results(folder: Path, records: Sequence[TargetRecord]) -> None:
     """Write ``results.json``."""
     folder.mkdir(parents=True, exist_ok=True)
-    content = [
-        {"target_m": record.target.tolist(), **asdict(score)}
-        for record, score in zip(records, scores, strict=True)
-    ]
+    content = [{"target_m": each.target.tolist(), **asdict(each.score())} for each in records]
     (folder / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def draw(path: Path, records: list[TargetRecord], joint_names: Sequence[str]) -> None:
+def draw(path: Path, records: Sequence[TargetRecord], joint_names: Sequence[str]) -> None:
     """Draw true errors and joint speeds over time into a PNG file."""
     from matplotlib.figure import Figure
 
@@ -124,12 +125,14 @@ def draw(path: Path, records: list[TargetRecord], joint_names: Sequence[str]) ->
         speed.axvline(record.start_s - origin_s, color="0.6")
     error.axhline(SETTLED_ERROR_M * 1e3, color="0.4", linestyle="--", linewidth=1)
     moments = [(r.start_s - origin_s + t_s, speeds) for r in records for t_s, speeds in r.joints]
-    speed.plot(*zip(*moments, strict=True), linewidth=1, label=list(joint_names))
+    if moments:
+        speed.plot(*zip(*moments, strict=True), linewidth=1, label=list(joint_names))
+        speed.legend(fontsize=8, ncols=2)
     what = records[0].kind.what.capitalize()
     error.set(ylabel="true error (mm)", title=f"{what} to its target, largest part")
     speed.set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
+    error.legend(fontsize=8, ncols=2)
     for axes in (error, speed):
-        axes.legend(fontsize=8, ncols=2)
         axes.grid(alpha=0.3)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)

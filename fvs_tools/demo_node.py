@@ -54,9 +54,10 @@ class DemoNode(ros.FvsNode):
         self._state, self._reason = state, message.message
         if self._records:
             record = self._records[-1]
-            if state not in ("SERVOING", "READY", before) and not record.slowed:
+            if state not in ("SERVOING", "READY", before) and not record.note:
                 print(f"controller {state}: {message.message}", flush=True)
-            record.slowed |= values.get("reason") in ("STALE", "RETURNING")
+            if values.get("reason") in ("STALE", "RETURNING"):
+                record.note = "slowed: inputs came late"
         self._wants_target = values.get("reason") == "NO_TARGET"
 
     def _on_joint_states(self, message: JointState) -> None:
@@ -123,14 +124,12 @@ class DemoNode(ros.FvsNode):
 
     def _conclude(self) -> None:
         self._stop.call_async(Trigger.Request())
-        scores = [record.score() for record in self._records]
         folder = Path(self._config.output_dir)
-        demo.write_results(folder, self._records, scores)
+        demo.write_results(folder, self._records)
         demo.draw(folder / "demo.png", self._records, self._joint_map.names)
-        notes = ["slowed: inputs came late" * record.slowed for record in self._records]
-        print(f"\n{demo.table(scores, notes)}\n", flush=True)
+        print(f"\n{demo.table(self._records)}\n", flush=True)
         print(f"figure: {folder / 'demo.png'}", flush=True)
-        settled = all(score.settling_5mm_s is not None for score in scores)
+        settled = all(each.score().settling_5mm_s is not None for each in self._records)
         self.exit_code = stop.EXIT_OK if settled else stop.EXIT_FAILURE
 
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
@@ -76,10 +75,8 @@ class RecorderNode(ros.FvsNode):
         self._publisher_counts: dict[str, int] = {}
         simulated = self.get_parameter("use_sim_time").value
         self._simulated_time = bag.SimulatedTime() if simulated else None
-        remaps = self._expect()
+        self._expect()
         notes = {"fvs_ros_version": version(), "scenario": self._config.scenario}
-        if remaps:
-            notes["remaps"] = yaml.safe_dump(remaps)
         # Created last: the launcher waits for the folder as a sign that all topics are subscribed.
         self._bag = bag.Bag(self._folder, notes)
         self.create_timer(0.2, self._look, clock=self.steady_clock)
@@ -89,24 +86,18 @@ class RecorderNode(ros.FvsNode):
 
     # --- which topics ---
 
-    def _expect(self) -> dict[str, str]:
+    def _expect(self) -> None:
         """Subscribe to this package's topics before a node publishes: no first message is lost.
 
         Not to one whose type depends on the kind of feature: its publisher tells.
-        Returns those that were remapped: their full names as declared, and as they are here.
         """
         every = [*topics.COMMON, *(topic for kind in KINDS.values() for topic in kind.topics)]
-        remaps, types = {}, Counter(topic.name for topic in every)
+        types = Counter(topic.name for topic in every)
         for topic in every:
             for node in topic.publishers:
-                own = topic.name.replace("~", node, 1)
-                declared = topics.resolve(own, "", self.get_namespace())
-                name = self.resolve_topic_name(own)
-                if name != declared:
-                    remaps[declared] = name
+                name = self.resolve_topic_name(topic.name.replace("~", node, 1))
                 if types[topic.name] == 1 and is_recorded(name, topic.type, self._config.images):
                     self._add(name, topic.type, ros.PROFILES[topic.offers])
-        return remaps
 
     def _look(self) -> None:
         """Subscribe to new topics and publishers on the graph."""

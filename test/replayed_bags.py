@@ -1,7 +1,6 @@
 """Bags made by hand, without ROS: what a robot did in them is known exactly."""
 
 import numpy as np
-import yaml
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from fvs_ros.joints import UR_JOINT_NAMES
@@ -12,11 +11,9 @@ BEGIN_S = 1_700_000_000.0
 T = TYPES.types
 
 
-def write_bag(folder, messages, storage=StoragePlugin.MCAP, **notes):
-    """Write messages, and notes as YAML; returns the folder."""
+def write_bag(folder, messages, storage=StoragePlugin.MCAP):
+    """Write messages; returns the folder."""
     writer = Writer(folder, version=9, storage_plugin=storage)
-    for name, content in notes.items():
-        writer.set_custom_data(name, yaml.safe_dump(content))
     writer.open()
     connections = {}
     for sent in messages:

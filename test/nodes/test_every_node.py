@@ -68,7 +68,9 @@ class LoneNode:
         self.arguments = ros_arguments({"__ns": self.namespace}, **overrides)
 
     def resolve(self, name):
-        return topics.resolve(name, self.name, self.namespace[1:])
+        """The full name of a topic or service that it uses, where nothing is remapped."""
+        own = f"{self.namespace.rstrip('/')}/{name.replace('~', self.name, 1)}"
+        return name if name.startswith("/") else own
 
     def ends(self, publishing):
         """Full name, type and quality of service of each of its ends in the graph."""

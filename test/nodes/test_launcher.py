@@ -40,7 +40,7 @@ def alive(pid):
 
 
 def test_ctrl_c_in_motion_ends_all_with_zeros_last_also_in_the_recording(ros_test):
-    replay = pytest.importorskip("fvs_lab.replay")
+    bag_reader = pytest.importorskip("fvs_tools.bag_reader")
     commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
     target = ros_test.node.create_publisher(PointStamped, Ball.topics.target.name, ros.QOS_LATCHED)
     truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
@@ -58,7 +58,9 @@ def test_ctrl_c_in_motion_ends_all_with_zeros_last_also_in_the_recording(ros_tes
     ros_test.spin_for(0.2)
     assert not np.any([m.data for m in commands[-3:]])
     assert not any(alive(pid) for pid in nodes)
-    recorded = replay.read(ros_test.folder / "bag").series["velocities"].values
+    with bag_reader.open_bag(ros_test.folder / "bag") as bag:
+        of_arm = [each for each in bag.connections if each.topic == f"/{topics.COMMANDS.name}"]
+        recorded = np.array([message.data for _, _, message in bag.decoded(of_arm)])
     assert np.abs(recorded).max() > 0.3
     assert not recorded[-3:].any()
 

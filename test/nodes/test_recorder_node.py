@@ -42,8 +42,7 @@ def read_back(folder):
 @pytest.fixture
 def recorder(ros_test):
     """A recorder that is up, and its folder."""
-    scenario = '"{/**/fvs_demo_node: {ros__parameters: {distance_m: 0.2}}}"'
-    process = ros_test.start_node(RECORDER, bag_dir="bag", scenario=scenario)
+    process = ros_test.start_node(RECORDER, bag_dir="bag")
     ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
     return process, ros_test.folder / "bag"
 
@@ -107,7 +106,6 @@ def test_what_came_before_the_recorder_was_killed_is_read(ros_test, recorder):
         assert reader.cut_off
         names = [connection.topic for connection, _, _ in reader.messages()]
         assert names.count("/ball_position") == 30
-        assert "distance_m: 0.2" in reader.notes["scenario"]
 
 
 def test_a_full_disk_ends_the_recording_with_a_whole_bag(ros_test):

@@ -68,11 +68,12 @@ def test_an_arm_is_learned_and_servoed_by_its_name_with_positions(ros_test):
         assert result["final_rms_m"] < 0.002
         assert result["peak_joint_speed_rad_s"] > 0.2
     # A replay judges as the demo did; the last target ends with the status of a stopped controller.
-    replayed = replay.targets(replay.read(ros_test.folder / "bag"))
-    for target, result in zip(replayed, results, strict=True):
-        assert target.score.start_distance_m == result["start_distance_m"]
+    records, names, _ = replay.read(ros_test.folder / "bag")
+    assert len(names) == 7
+    for record, result in zip(records, results, strict=True):
+        assert record.score().start_distance_m == result["start_distance_m"]
     for name in ("settling_5mm_s", "settling_2mm_s", "final_rms_m"):
-        assert getattr(replayed[0].score, name) == results[0][name]
+        assert getattr(records[0].score(), name) == results[0][name]
     # What is promised is the command's speed: the drive's own may overshoot it.
     steps = np.diff([message.data for message in commands], axis=0)
     assert np.abs(steps).max() <= 1.0 / 50.0 + 1e-9
