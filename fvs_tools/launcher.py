@@ -18,7 +18,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from fvs_ros import console
+from fvs_ros import console, topics
 from fvs_ros.arguments import Parser
 from fvs_ros.paths import program
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
@@ -233,6 +233,13 @@ def _parser() -> argparse.ArgumentParser:
         help="rename a topic or service in all nodes (repeatable)",
     )
     parser.add_argument(
+        "--train",
+        default="",
+        metavar="MODEL",
+        help="when the scenario has collected its data, fit a chain and networks to them, as "
+        "fvs_train --method poe does, and write this model",
+    )
+    parser.add_argument(
         "--record",
         default="",
         metavar="DIR",
@@ -250,13 +257,23 @@ def main(argv: list[str] | None = None) -> int:
         scenario = load_scenario(
             arguments.scenario, arguments.param, arguments.scheme, arguments.record
         )
-    except ValueError as error:
+        if arguments.train and topics.COLLECTOR not in scenario:
+            raise ValueError(f"--train: {arguments.scenario} starts no {topics.COLLECTOR}")
+        Path(arguments.train).parent.mkdir(parents=True, exist_ok=True)
+    except (ValueError, OSError) as error:
         print(f"fvs_launch: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
     if "fvs_sim_node" in scenario:
         # A simulated arm must not exchange messages with the robots of a laboratory network.
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    return launch(scenario, arguments.namespace, arguments.remap)
+    code = launch(scenario, arguments.namespace, arguments.remap)
+    if not arguments.train or code != EXIT_OK or stop.RECEIVED:
+        return code
+    from fvs_estimator_node.collecting import CollectorConfig  # slow to import
+    from fvs_tools import train
+
+    data = scenario[topics.COLLECTOR].get("output_path", CollectorConfig.output_path)
+    return train.main([data, "-o", arguments.train, "--method", "poe"])
 
 
 if __name__ == "__main__":

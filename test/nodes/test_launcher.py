@@ -144,7 +144,12 @@ def test_every_executable_says_what_it_is_for():
         assert f"\n\n{name}: " in f"\n\n{text}"
         assert "usage: " in text
         words = {"fvs_launch": "  demo  ", "fvs_experiments": "  servo  ", "fvs_train": "--method"}
-        words |= {"fvs_servo_node": "--ros-args", "fvs_tag": "--size-m", "fvs_calibrate": "--urdf"}
+        words |= {
+            "fvs_servo": "teach",
+            "fvs_servo_node": "--ros-args",
+            "fvs_tag": "--size-m",
+            "fvs_calibrate": "--urdf",
+        }
         if name in NODE_TABLE:
             words[name] = "\nparameters and their defaults:\n  "
         assert words[name] in text
@@ -155,6 +160,7 @@ REFUSED = [
     (MODULE, ["servo", "--shceme", "best"], "did you mean --scheme?"),
     (MODULE, ["servo", "--namespace", "a b"], "cannot start: "),
     (MODULE, ["servo", "-r", "a"], "cannot start: "),
+    (MODULE, ["servo", "--train", "x.npz"], "servo starts no fvs_collector_node"),
     (SERVO, ["left", "right", "right"], "/right/fvs_controller_node, /right/fvs_est"),
     (SERVO, ["a", "b", "--ros-args", "-r", "__ns:=/lab"], "neither __ns nor __node may be"),
     (SERVO, ["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "unknown parameter 'method'"),

@@ -33,15 +33,14 @@ def launch(harness, scenario, *parameters, options=()):
 def test_an_arm_is_learned_and_servoed_by_its_name_with_positions(ros_test):
     replay = pytest.importorskip("fvs_lab.replay")
     data_path, model = (ros_test.folder / name for name in ("data.npz", "model.npz"))
-    launch(ros_test, "collect_minute", f"output_path:={data_path}", "duration_s:=10.0")
+    parameters = f"output_path:={data_path}", "duration_s:=10.0"
+    launch(ros_test, "collect_minute", *parameters, options=("--train", str(model)))
     data = load_data_set(data_path)
     assert 8.0 < data.stamps_s[-1] - data.stamps_s[0] < 14.0
     assert np.abs(data.joints_rad[-1] - data.joints_rad[0]).max() < 0.1
     speeds = np.diff(data.joints_rad, axis=0) / np.diff(data.stamps_s)[:, None]
     assert np.abs(speeds[np.diff(data.segment) == 0]).max() < 0.7
 
-    trainer = ros_test.start("fvs_tools.train", str(data_path), "-o", str(model), "--method", "poe")
-    assert ros_test.wait(trainer, 60.0) == 0, ros_test.output(trainer)
     sampled_rad = data.joints_rad[::50]
     with Simulation(SimConfig(robot="iiwa", feature="pose", rendered=False)) as simulation:
         true = simulation.true_chain(Pose()).jacobian(sampled_rad)
