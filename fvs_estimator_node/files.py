@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -48,23 +48,35 @@ class FileError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class _OfFeature:
-    """What was measured: the name of a kind of feature."""
+    """What was measured: the name of a kind of feature, and its frame."""
 
     feature: str = KindConfig.feature
+    feature_frame: str = CAMERA_FRAME
+    #: The field with measurements, (k, m).
+    _measured: ClassVar[str] = "z"
 
     @property
     def kind(self) -> Kind:
-        """The kind of feature, with the usual lever arm."""
-        return KINDS[self.feature]()
+        """The kind of feature, with the usual parameters where m does not tell them."""
+        return KINDS[self.feature].of_numbers(getattr(self, self._measured).shape[1])
 
-    def _check_numbers(self, values: np.ndarray) -> None:
-        """A ``ValueError`` if the rows of an array, (k, m), are no measurements of the kind."""
+    def _check_numbers(self) -> None:
+        """A ``ValueError`` if the measurements are none of the kind."""
         kind = self.kind
-        if values.shape[1] != kind.numbers:
-            raise ValueError(f"a {kind.name} has {kind.numbers} numbers, got {values.shape[1]}")
-        for z in values[:1]:
+        for z in getattr(self, self._measured)[:1]:
             if np.abs(kind.nearest(z) - z).max() > _NO_MEASUREMENT:
                 raise ValueError(f"{np.round(z, 3).tolist()} is no {kind.name}")
+
+    def check(self, expected: KindConfig | None) -> None:
+        """A ``ValueError`` if another kind or frame was expected; None takes any."""
+        if expected is None:
+            return
+        frame, right = self.feature_frame, expected.feature_frame
+        if frame != right:
+            raise ValueError(f"positions in the frame {frame!r}, expected {right!r}")
+        made_for, right = (f"{of.name} ({of.numbers} numbers)" for of in (self.kind, expected.kind))
+        if made_for != right:
+            raise ValueError(f"made for feature {made_for}, expected {right}")
 
 
 @dataclass(frozen=True)
@@ -103,13 +115,12 @@ class DataSet(_OfFeature):
     z: np.ndarray
     segment: np.ndarray
     joint_names: tuple[str, ...] = ()
-    feature_frame: str = CAMERA_FRAME
     provenance: Mapping[str, Any] = field(default_factory=dict)
     still: bool = False
 
     def __post_init__(self) -> None:
         n = check_arrays(self, _DATA_SET, {})["n"]
-        self._check_numbers(self.z)
+        self._check_numbers()
         names = tuple(self.joint_names) or tuple(f"joint_{i + 1}" for i in range(n))
         if len(names) != n:
             raise ValueError(f"{len(names)} joint names and {n} joints do not fit together")
@@ -172,10 +183,10 @@ class TrainedModel(_OfFeature):
     joint_box_rad: np.ndarray
     z_samples: np.ndarray
     joint_names: tuple[str, ...]
-    feature_frame: str = CAMERA_FRAME
     errors: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     chain: SerialChain | None = None
+    _measured: ClassVar[str] = "z_samples"
 
     def __post_init__(self) -> None:
         n, m = self.model.weights.shape[:2]
@@ -187,7 +198,7 @@ class TrainedModel(_OfFeature):
                 "joints do not fit together"
             )
         check_arrays(self, _MODEL, {"n": n, "m": m})
-        self._check_numbers(self.z_samples)
+        self._check_numbers()
         low, high = self.joint_box_rad
         if np.any(low > high):
             raise ValueError("joint_box_rad has a least value above the greatest")
@@ -248,13 +259,15 @@ def load_data_set(
     FileError
         If anything is not as expected; the text names the file, the fault and what was expected.
     """
-    with _content(path, "fvs_dataset", joint_names, expected) as content:
-        return DataSet(
+    with _content(path, "fvs_dataset", joint_names) as content:
+        data = DataSet(
             **{name: content[name] for name in _DATA_SET},
             **content.common,
             provenance=content.json("provenance"),
             still="still" in content and bool(content["still"].any()),
         )
+        data.check(expected)
+        return data
 
 
 def load_model(
@@ -263,11 +276,11 @@ def load_model(
     expected: KindConfig | None = None,
 ) -> TrainedModel:
     """Read and check a model; parameters and errors are those of :func:`load_data_set`."""
-    with _content(path, "fvs_rbf_model", joint_names, expected) as content:
+    with _content(path, "fvs_rbf_model", joint_names) as content:
         chain = None
         if any(name in content for name in _CHAIN):
             chain = SerialChain(**{name: content[stored] for stored, name in _CHAIN.items()})
-        return TrainedModel(
+        trained = TrainedModel(
             RbfModel(*(content[name] for name in _NETWORKS)),
             **{name: content[name] for name in _MODEL},
             **content.common,
@@ -275,6 +288,8 @@ def load_model(
             provenance=content.json("provenance"),
             chain=chain,
         )
+        trained.check(expected)
+        return trained
 
 
 def _write(path: str | os.PathLike[str], kind: str, fields: Mapping[str, Any]) -> None:
@@ -301,12 +316,11 @@ def _content(
     path: str | os.PathLike[str],
     kind: str,
     joint_names: Sequence[str] | None,
-    expected: KindConfig | None,
 ) -> Iterator[_Content]:
-    """A file's content, its kind, joints and frame checked; what goes wrong is a FileError."""
+    """A file's content, its format and joints checked; what goes wrong is a FileError."""
     try:
         content = _Content(_arrays(Path(path)))
-        content.check(kind, joint_names, expected)
+        content.check(kind, joint_names)
         yield content
         return
     except FileNotFoundError:
@@ -362,10 +376,8 @@ class _Content(dict[str, Any]):
         fields = ", ".join(sorted(self)[:12]) or "nothing"
         raise ValueError(f"lacks the field {name!r}; it holds {fields}")
 
-    def check(
-        self, kind: str, joint_names: Sequence[str] | None, expected: KindConfig | None
-    ) -> None:
-        """Check format, version, joints and feature; None takes any."""
+    def check(self, kind: str, joint_names: Sequence[str] | None) -> None:
+        """Check format, version and joints; None takes any."""
         if self.text("format") != kind:
             raise ValueError(f"is of format {self.text('format')!r}, expected {kind!r}")
         version = self["version"].tolist()
@@ -379,11 +391,6 @@ class _Content(dict[str, Any]):
         feature = self.text("feature") if "feature" in self else KindConfig.feature
         if feature not in KINDS:
             raise ValueError(f"made for feature {feature!r}, expected {', '.join(KINDS)}")
-        if expected is not None and frame != expected.feature_frame:
-            right = expected.feature_frame
-            raise ValueError(f"positions in the frame {frame!r}, expected {right!r}")
-        if expected is not None and feature != expected.feature:
-            raise ValueError(f"made for feature {feature}, expected {expected.feature}")
         self.common: dict[str, Any] = {
             "joint_names": names,
             "feature_frame": frame,

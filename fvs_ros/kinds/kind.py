@@ -53,6 +53,14 @@ class Kind(Parameters):
     box_size, least_joints = 3, 1
     flat = True
 
+    @classmethod
+    def of_numbers(cls, count: int) -> Kind:
+        """The kind whose measurements have m numbers; a ``ValueError`` if there is none."""
+        kind = cls()
+        if count != kind.numbers:
+            raise ValueError(f"a {kind.name} has {kind.numbers} numbers, got {count}")
+        return kind
+
     @cached_property
     def unit(self) -> np.ndarray:
         """Length of what a message gives as 1, m, (d,)."""

@@ -39,7 +39,8 @@ def some_data(n=8, names=("a", "b", "c")):
     rng = np.random.default_rng(0)
     joints, ball = rng.normal(size=(n, len(names))), rng.normal(size=(n, 3))
     provenance = {"robot": "none", "seed": 3}
-    return DataSet(np.arange(n) / 30.0, joints, ball, np.arange(n) // 4, names, "lens", provenance)
+    of = {"feature_frame": "lens", "provenance": provenance}
+    return DataSet(np.arange(n) / 30.0, joints, ball, np.arange(n) // 4, names, **of)
 
 
 def some_model():
@@ -185,7 +186,9 @@ def test_a_pose_is_read_as_a_pose_and_not_as_a_ball(tmp_path):
     np.testing.assert_array_equal(data.z, seen)
     back = load_model(tmp_path / "m.npz", expected=wanted)
     np.testing.assert_allclose(back.chain.position(joints), seen)
-    with pytest.raises(FileError, match="made for feature pose, expected ball"):
+    with pytest.raises(
+        FileError, match=r"made for feature pose \(12 numbers\), expected ball \(3 numbers\)"
+    ):
         load_model(tmp_path / "m.npz", expected=KindConfig("lens"))
     rewrite(tmp_path / "d.npz", z=2.0 * seen)
     with pytest.raises(FileError, match="is no pose"):
