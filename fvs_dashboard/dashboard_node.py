@@ -25,14 +25,13 @@ from std_msgs.msg import String
 from fvs_dashboard.board import Action, Board, Controller
 from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
 from fvs_dashboard.picture import Picture
-from fvs_estimator_node.files import load_model
+from fvs_estimator_node.files import TrainedModel, load_model
 from fvs_ros import ros, topics
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.paths import find_file
 from fvs_ros.ros.images import from_color
 from fvs_ros.ros.services import Services
-from fvs_tools.demo import choose_target
 
 _CAMERA_ROTATION = f"{topics.SIM}/camera_rotation_deg"
 #: Parameters that the page shows.
@@ -63,11 +62,10 @@ class DashboardNode(ros.FvsNode):
         self._cameras: list[ros.Sampled] = []  # while a browser shows the page
         self._board.tour = self._config.tour
         #: Where ball or tag can be, camera frame, m, shape (n, m).
-        self._candidates: np.ndarray | None = None
+        self._trained: TrainedModel | None = None
         if self._config.model_path or self._config.tour:
             model = self._config.model_path or self._kind.model
-            trained = load_model(find_file(model), expected=self._config)
-            self._candidates = trained.z_samples
+            self._trained = load_model(find_file(model), expected=self._config)
         self._tour_due_s = -inf
         self._rng = np.random.default_rng()
         self._subscribe()
@@ -274,15 +272,14 @@ class DashboardNode(ros.FvsNode):
 
     def _send_tour(self, now_s: float) -> None:
         """Send the next target when it is due."""
-        if self._candidates is None or not self._board.tour or now_s < self._tour_due_s:
+        if self._trained is None or not self._board.tour or now_s < self._tour_due_s:
             return
         z = self._board.newest("feature", now_s)
         controller = self._board.controller(now_s)
         ready = controller.state == "SERVOING" or controller.reason == "NO_TARGET"
         if z is not None and ready:
             self._tour_due_s = now_s + 5.0
-            target = choose_target(self._kind, self._candidates, z, 0.3, self._rng)
-            self._send_target(target)
+            self._send_target(self._trained.target(z, 0.3, self._rng))
 
     def finish(self) -> None:
         """Stop serving."""

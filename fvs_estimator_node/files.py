@@ -203,6 +203,14 @@ class TrainedModel(_OfFeature):
         if np.any(low > high):
             raise ValueError("joint_box_rad has a least value above the greatest")
 
+    def target(self, z: np.ndarray, distance_m: float, rng: np.random.Generator) -> np.ndarray:
+        """A measurement trained on, (m,), that is about a distance, m, away from z."""
+        apart_m = np.linalg.norm((self.z_samples - z) * self.kind.weights, axis=1)
+        mismatch_m = np.abs(apart_m - distance_m)
+        # Those within 20 mm are equally good.
+        fitting = np.flatnonzero(mismatch_m <= max(0.02, mismatch_m.min()))
+        return np.asarray(self.z_samples[rng.choice(fitting)])
+
     @property
     def notes(self) -> tuple[str, ...]:
         """What the training found that a user of the model should know, a sentence each."""

@@ -13,14 +13,13 @@ import sys
 from array import array
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
 from functools import partial
-from importlib import import_module
 from typing import Any, TypeVar
 
 import numpy as np
 
 from fvs_ros.arguments import did_you_mean, unknown
-from fvs_ros.topics import NODES
 
 _DECLARED = "parameter"
 _Self = TypeVar("_Self", bound="Parameters")
@@ -151,6 +150,10 @@ class ParameterSet:
             raise ParameterError(unknown("parameter", str(name), sorted(self._by_name)))
         return self._by_name[name]
 
+    def is_slip(self, name: str) -> bool:
+        """Whether a name is almost one of them; those of different nodes are at most 0.79 alike."""
+        return name not in self and bool(get_close_matches(name, self._by_name, 1, 0.85))
+
     def values(self, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """All values: the defaults, with checked overrides in their place."""
         defaults = {parameter.name: parameter.default for parameter in self}
@@ -159,11 +162,6 @@ class ParameterSet:
     def checked(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Given values in their parameters' types; a ``ParameterError`` if one is wrong."""
         return {name: self[name].check(value) for name, value in values.items()}
-
-
-def parameters_of(node: str) -> ParameterSet:
-    """The parameters that a node of the package declares."""
-    return ParameterSet(import_module(NODES[node]).PARAMETERS)
 
 
 def parameter(

@@ -43,18 +43,7 @@ SIM, DETECTOR = "fvs_sim_node", "fvs_detector_node"
 ESTIMATOR, CONTROLLER = "fvs_estimator_node", "fvs_controller_node"
 COLLECTOR, DEMO, DASHBOARD = "fvs_collector_node", "fvs_demo_node", "fvs_dashboard"
 CALIBRATE, RECORDER = "fvs_calibrate_node", "fvs_recorder_node"
-#: The module that declares ``PARAMETERS``, by node.
-NODES = {
-    SIM: "fvs_sim_node.config",
-    DETECTOR: "fvs_detector_node.config",
-    ESTIMATOR: "fvs_estimator_node.registry",
-    CONTROLLER: "fvs_controller_node.config",
-    COLLECTOR: "fvs_estimator_node.collecting",
-    CALIBRATE: "fvs_tools.calibrating",
-    DEMO: "fvs_tools.demo",
-    DASHBOARD: "fvs_dashboard.config",
-    RECORDER: "fvs_tools.recording",
-}
+NODES = SIM, DETECTOR, ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DEMO, DASHBOARD, RECORDER
 
 _TRIGGER = "std_srvs/srv/Trigger"
 #: Name of a service -> its type, and what a call does.
@@ -275,13 +264,13 @@ STATUS = Topic(
     "~/status",
     "diagnostic_msgs/msg/DiagnosticStatus",
     "State, reason in words, and key numbers, at 10 Hz.",
-    tuple(NODES),
+    NODES,
 )
 DIAGNOSTICS = Topic(
     "/diagnostics",
     "diagnostic_msgs/msg/DiagnosticArray",
     "State, and age, rate and jitter of every input, at 1 Hz.",
-    tuple(NODES),
+    NODES,
 )
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", "Simulated time, with `simulated_time`.", (SIM,))
 TF_STATIC = Topic(

@@ -37,24 +37,6 @@ PARAMETERS = DemoConfig.declared()
 START_TIMEOUT_S = 30.0
 
 
-def choose_target(
-    kind: Kind,
-    candidates: np.ndarray,
-    z: np.ndarray,
-    distance_m: float,
-    rng: np.random.Generator,
-) -> np.ndarray:
-    """A target about ``distance_m`` from where the feature is, (m,), camera frame.
-
-    It is one of the candidates, shape (n, m): where the feature has been.
-    """
-    apart_m = np.linalg.norm((candidates - z) * kind.weights, axis=1)
-    mismatch_m = np.abs(apart_m - distance_m)
-    # Those within 20 mm are equally good.
-    fitting = np.flatnonzero(mismatch_m <= max(0.02, mismatch_m.min()))
-    return candidates[rng.choice(fitting)]
-
-
 @dataclass
 class TargetRecord:
     """Record of the motion to one target, camera frame, shape (m,), since it was given."""

@@ -30,10 +30,9 @@ class DemoNode(ros.FvsNode):
         self._config = demo.DemoConfig.from_values(self.values)
         config = self._config
         self._kind = kind = config.kind
-        trained = load_model(find_file(config.model_path or kind.model), expected=config)
-        self._candidates = trained.z_samples
+        self._trained = load_model(find_file(config.model_path or kind.model), expected=config)
         self._rng = np.random.default_rng(self._config.seed)
-        self._joint_map = JointMap(trained.joint_names, config.tf_prefix)
+        self._joint_map = JointMap(self._trained.joint_names, config.tf_prefix)
         self._records: list[demo.TargetRecord] = []
         self._state = self._reason = ""
         self._wants_target = False
@@ -94,7 +93,7 @@ class DemoNode(ros.FvsNode):
 
     def _next_target(self, stamp_s: float, z: np.ndarray) -> None:
         kind, config = self._kind, self._config
-        target = demo.choose_target(kind, self._candidates, z, config.distance_m, self._rng)
+        target = self._trained.target(z, config.distance_m, self._rng)
         self._target.publish(ros.to_feature(stamp_s, config.feature_frame, kind, target))
         self._records.append(demo.TargetRecord(kind, target, stamp_s, truths=[(0.0, z)]))
 

@@ -21,8 +21,9 @@ from fvs_controller_node.reasons import Reason, State, Stop
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros import stop, topics
 from fvs_ros.kinds import KINDS
-from fvs_ros.params import Parameter, parameters_of
+from fvs_ros.params import Parameter
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
+from fvs_tools.scenario import parameters_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference.md"
 COMMAND = "python -m fvs_tools.reference"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import yaml
 
 from fvs_ros import topics
 from fvs_ros.arguments import unknown
-from fvs_ros.params import Parameter, ParameterError, ParameterSet, parameters_of
+from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.paths import find_file, share_folders
 from fvs_ros.yaml_text import QUOTED, read_yaml, read_yaml_file
 from fvs_sim_node.robot import moving_joints, robot_of
@@ -37,6 +38,7 @@ class NodeEntry:
     """One node that a scenario may start."""
 
     module: str  # that runs it
+    declares: str  # the module with its ``PARAMETERS``
     commands_arm: bool = False  # it is stopped first, while others still listen
     task: bool = False  # its end ends the scenario, its exit code being the scenario's
     #: A passive node: it is stopped last, and its end does not end the scenario, unless it refuses
@@ -46,15 +48,24 @@ class NodeEntry:
 
 #: By the name of node and executable.
 NODE_TABLE: dict[str, NodeEntry] = {
-    topics.SIM: NodeEntry("fvs_sim_node.node"),
-    topics.DETECTOR: NodeEntry("fvs_detector_node.node"),
-    topics.ESTIMATOR: NodeEntry("fvs_estimator_node.node"),
-    topics.CONTROLLER: NodeEntry("fvs_controller_node.node", commands_arm=True),
-    topics.COLLECTOR: NodeEntry("fvs_estimator_node.collector_node", commands_arm=True, task=True),
-    topics.CALIBRATE: NodeEntry("fvs_tools.calibrate_node", task=True),
-    topics.DEMO: NodeEntry("fvs_tools.demo_node", task=True),
-    topics.DASHBOARD: NodeEntry("fvs_dashboard.dashboard_node", observer=True),
-    RECORDER: NodeEntry("fvs_tools.recorder_node", observer=True),
+    topics.SIM: NodeEntry("fvs_sim_node.node", "fvs_sim_node.config"),
+    topics.DETECTOR: NodeEntry("fvs_detector_node.node", "fvs_detector_node.config"),
+    topics.ESTIMATOR: NodeEntry("fvs_estimator_node.node", "fvs_estimator_node.registry"),
+    topics.CONTROLLER: NodeEntry(
+        "fvs_controller_node.node", "fvs_controller_node.config", commands_arm=True
+    ),
+    topics.COLLECTOR: NodeEntry(
+        "fvs_estimator_node.collector_node",
+        "fvs_estimator_node.collecting",
+        commands_arm=True,
+        task=True,
+    ),
+    topics.CALIBRATE: NodeEntry("fvs_tools.calibrate_node", "fvs_tools.calibrating", task=True),
+    topics.DEMO: NodeEntry("fvs_tools.demo_node", "fvs_tools.demo", task=True),
+    topics.DASHBOARD: NodeEntry(
+        "fvs_dashboard.dashboard_node", "fvs_dashboard.config", observer=True
+    ),
+    RECORDER: NodeEntry("fvs_tools.recorder_node", "fvs_tools.recording", observer=True),
 }
 
 
@@ -73,9 +84,6 @@ def load_scenario(
     common, loop = sections.pop(ALL_NODES, {}), list(sections)
     if not loop:
         raise ValueError(f"scenario {path} names no node; known are {', '.join(NODE_TABLE)}")
-    for parameter in common:
-        if not any(parameter in _declared(node) for node in (*loop, *NODE_TABLE)):
-            raise ValueError(f"scenario {path}, {ALL_NODES}: no node has a parameter {parameter}")
     if record:
         check_recording(Path(record).expanduser())
         recorder = {**sections.pop(RECORDER, {}), "bag_dir": record}
@@ -84,6 +92,9 @@ def load_scenario(
         if node not in NODE_TABLE:
             raise ValueError(f"scenario {path}: {unknown('node', node, NODE_TABLE)}")
         sections[node] = {**{n: v for n, v in common.items() if n in _declared(node)}, **values}
+    for parameter in common:
+        if not any(parameter in values for values in sections.values()):
+            raise ValueError(f"scenario {path}, {ALL_NODES}: no node has a parameter {parameter}")
     if scheme_name:
         _choose_scheme(path, sections, scheme_name)
     for override in overrides:
@@ -169,6 +180,11 @@ def _override(path: Path, sections: Scenario, override: str) -> None:
         raise ValueError(f"'{override[:QUOTED]}' has a value that is no YAML: {error}") from error
     for target in targets:
         sections[target][name] = value
+
+
+def parameters_of(node: str) -> ParameterSet:
+    """The parameters that a node of the package declares."""
+    return ParameterSet(import_module(NODE_TABLE[node].declares).PARAMETERS)
 
 
 def _declared(node: str) -> ParameterSet:

@@ -30,7 +30,7 @@ from rclpy.subscription import Subscription
 
 from fvs_ros import topics
 from fvs_ros.clock import LoopClock
-from fvs_ros.params import Parameter, ParameterError, ParameterSet, parameters_of
+from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.ros.inputs import IMAGES, MOST_ITEMS, ArrivalMonitor, check_request, unpacked
 from fvs_ros.ros.messages import OK, WARN, MessageError, message_class, plain, to_stamp, to_status
 from fvs_ros.ros.qos import PROFILES, QOS_LATCHED
@@ -63,31 +63,25 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
-def _is_declared(name: str) -> bool:
-    """Whether any node of the package has a parameter."""
-    for node in topics.NODES:
-        with contextlib.suppress(ImportError):  # of an extra that is not installed
-            if name in parameters_of(node):
-                return True
-    return False
-
-
-def _given_by_name(node: str) -> set[str]:
-    """Parameters that a parameter file gives to a node by its name, not to all."""
+def names_given_to(node: str) -> set[str]:
+    """Parameters that command line or files give to a node by its name; empty: by ``-p`` to all."""
     names = set[str]()
-    for flag, path in pairwise(sys.argv):
-        for key in (node, f"/{node}", f"/**/{node}") if flag == "--params-file" else ():
+    for flag, word in pairwise(sys.argv):
+        if flag in ("-p", "--param"):
+            to, _, name = word.partition(":=")[0].rpartition(":")
+            names |= {name} if to.rpartition("/")[2] == node else set()
+        for key in (node, f"/{node}", f"/**/{node}") if flag == "--params-file" and node else ():
             with contextlib.suppress(RuntimeError):  # it has no such section
-                names |= parameter_dict_from_yaml_file(path, target_nodes=[key]).keys()
-    return names
+                names |= parameter_dict_from_yaml_file(word, target_nodes=[key]).keys()
+    return {name for name in names if not name.startswith(BUILT_IN_PARAMETERS)}
 
 
 class FvsNode(Node):
     """A node with declared parameters, watched inputs and diagnostics.
 
-    A parameter given at start that no node has, or with a wrong value, is a ``ParameterError``, and
-    so is one of another node under this node's name. Of what a file gives to all nodes, that of
-    others is left to them.
+    A parameter given at start with a wrong value, or that is not the node's under its name, is a
+    ``ParameterError``. Of what is given to all nodes the rest is left to others, unless its name is
+    a slip of one of this node's.
     """
 
     #: Set to end the process with this exit code.
@@ -125,10 +119,11 @@ class FvsNode(Node):
             if not name.startswith(BUILT_IN_PARAMETERS)
         }
         own = self.parameter_set
-        others = [name for name in overrides if name not in own and _is_declared(name)]
-        if others:
-            own.checked(dict.fromkeys(_given_by_name(self._declared_name).intersection(others)))
-        values = own.values({n: v for n, v in overrides.items() if n not in others})
+        others = [name for name in overrides if name not in own]
+        for name in others:
+            if name in names_given_to(self._declared_name) or own.is_slip(name):
+                own[name]  # raises
+        values = own.values({n: v for n, v in overrides.items() if n in own})
         if others:
             self.tell(OK, f"parameters of other nodes are left to them: {', '.join(others)}")
         for name in overrides:

@@ -8,7 +8,6 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
@@ -18,11 +17,10 @@ from rclpy.utilities import remove_ros_args
 
 from fvs_ros import console, stop
 from fvs_ros.arguments import listing
-from fvs_ros.params import Parameter, ParameterSet, parameters_of
+from fvs_ros.params import Parameter, ParameterSet
 from fvs_ros.paths import find_file
-from fvs_ros.ros.node import BUILT_IN_PARAMETERS, FvsNode
+from fvs_ros.ros.node import FvsNode, names_given_to
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
-from fvs_ros.topics import NODES
 
 try:
     from rclpy.experimental import EventsExecutor
@@ -65,7 +63,9 @@ def run(
         except RuntimeError as error:  # rcl's own: arguments or a parameter file it cannot read
             return _refused(str(error))
         try:
-            _check_names(parameters)
+            known = ParameterSet(parameters)
+            for name in names_given_to(""):
+                known[name]  # an error if no node of this process has it
             made = make(words) if takes else make()
         except (ValueError, OSError, NameValidationException, ParameterException) as error:
             return _refused(str(error))
@@ -73,16 +73,6 @@ def run(
             return _spin([made] if isinstance(made, FvsNode) else made)
         finally:
             rclpy.try_shutdown()
-
-
-def _check_names(parameters: Iterable[Parameter]) -> None:
-    """Refuse a parameter of the command line that its node, or else this process, does not have."""
-    for flag, word in pairwise(sys.argv):
-        node, _, name = word.partition(":=")[0].rpartition(":")
-        if flag in ("-p", "--param") and not name.startswith(BUILT_IN_PARAMETERS):
-            node = node.rpartition("/")[2]
-            known = parameters_of(node) if node in NODES else ParameterSet(parameters)
-            known[name]  # an error if it is none of them
 
 
 def _help(doc: str, parameters: Iterable[Parameter], takes: str) -> str:

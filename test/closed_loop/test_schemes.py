@@ -14,7 +14,6 @@ from fvs_ros.kinds.ball import Ball
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import SimConfig, Simulation
 from fvs_tools.closed_loop import ClosedLoop, make_estimator
-from fvs_tools.demo import choose_target
 
 each_scheme = pytest.mark.parametrize("name", ["best", "extended"])
 
@@ -157,10 +156,10 @@ def test_from_a_third_of_a_metre_the_ball_is_on_target_in_time(latency_s):
     estimator = make_estimator("rbf", simulation)
     loop = ClosedLoop(simulation, estimator, {"max_joint_velocity_rad_s": 1.0})
     loop.run(0.3)
-    candidates_m = load_model(find_file(Ball.model)).z_samples
+    trained = load_model(find_file(Ball.model))
     for _ in range(2):
         here_m = simulation.true_pose().position_m
-        target_m = choose_target(Ball(), candidates_m, here_m, 0.3, rng)
+        target_m = trained.target(here_m, 0.3, rng)
         commands, errors_m = run(loop, target_m, 3.0)
         assert errors_m[round(1.5 / loop.period_s) :].max() < 0.005
         assert np.sqrt(np.mean(errors_m[round(2.0 / loop.period_s) :] ** 2)) < 0.0015

@@ -168,10 +168,10 @@ def start_with_file(ros_test, section="/**", **parameters):
     return ros_test.start(NODE, "--ros-args", "--params-file", str(file))
 
 
-def test_a_file_of_all_nodes_may_hold_what_any_node_has_and_nothing_else(ros_test):
-    detector = start_with_file(ros_test, tf_prfix="left_")
+def test_a_file_of_all_nodes_may_hold_no_slip_and_one_of_a_node_nothing_of_others(ros_test):
+    detector = start_with_file(ros_test, ball_radus_m=0.03)
     assert ros_test.wait(detector) == 2
-    assert "unknown parameter 'tf_prfix'" in ros_test.output(detector)
+    assert "unknown parameter 'ball_radus_m'" in ros_test.output(detector)
     detector = start_with_file(ros_test, "/**/fvs_detector_node", tf_prefix="left_")
     assert ros_test.wait(detector) == 2
     assert "unknown parameter 'tf_prefix'" in ros_test.output(detector)

@@ -18,9 +18,8 @@ from std_msgs.msg import Float64MultiArray
 
 from fvs_ros import ros, topics
 from fvs_ros.kinds import KINDS
-from fvs_ros.params import parameters_of
 from fvs_ros.topics import NODES, SERVICES
-from fvs_tools.scenario import NODE_TABLE
+from fvs_tools.scenario import NODE_TABLE, parameters_of
 
 #: What a node needs that runs beside others and has no node to talk to.
 ALONE = {

@@ -15,17 +15,14 @@ SOURCES = sorted(
     path.relative_to(ROOT).as_posix() for name in PACKAGES for path in (ROOT / name).rglob("*.py")
 )
 
-#: Each package of a floor may import those below, and these beside it.
-FLOORS = (
+#: Each package may import those before it, none beside it.
+ORDER = (
     {"fvs_ros"},
-    {"fvs_controller_node", "fvs_detector_node", "fvs_estimator_node", "fvs_sim_node"},
-    {"fvs_tools", "fvs_dashboard", "fvs_lab"},
+    {"fvs_detector_node"},
+    {"fvs_controller_node", "fvs_estimator_node", "fvs_sim_node"},  # whose positions are detected
+    {"fvs_tools", "fvs_dashboard"},
+    {"fvs_lab"},
 )
-BESIDE = {
-    ("fvs_sim_node", "fvs_detector_node"),  # its ball positions are detected ones
-    ("fvs_dashboard", "fvs_tools"),
-    ("fvs_lab", "fvs_tools"),
-}
 ROS_HOME = "fvs_ros/ros"
 IMAGES = "fvs_ros/ros/images.py"
 BAGS = "fvs_tools/recorded.py"  # decodes messages that come from a file
@@ -52,8 +49,8 @@ def imported_modules(path, source):
     return names
 
 
-def floor_of(package):
-    return next((number for number, floor in enumerate(FLOORS) if package in floor), None)
+def rank_of(package):
+    return next((number for number, packages in enumerate(ORDER) if package in packages), None)
 
 
 def is_ros(module):
@@ -75,9 +72,8 @@ def foreign(path, modules):
         if home == "fvs_ros":
             known = package in GROUND_MAY_IMPORT or package in sys.stdlib_module_names
             return known or (package == "cv2" and path == IMAGES)
-        if package == home or floor_of(package) is None or (home, package) in BESIDE:
-            return True
-        return floor_of(package) < floor_of(home)
+        rank = rank_of(package)
+        return package == home or rank is None or rank < rank_of(home)
 
     packages = {module.partition(".")[0] for module in modules}
     broken = {package for package in packages if not allowed(package)}

@@ -7,9 +7,9 @@ from pathlib import Path
 from cases import each
 
 from fvs_controller_node.reasons import Reason
-from fvs_ros.params import parameters_of
 from fvs_ros.topics import NODES
 from fvs_tools import reference
+from fvs_tools.scenario import parameters_of
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -96,6 +96,13 @@ def test_the_committed_page_is_what_would_be_written_now():
     # No long comparison: the remedy is the same whatever differs.
     same = reference.PAGE.read_text(encoding="utf-8") == reference.page()
     assert same, f"run {reference.COMMAND}"
+
+
+def test_no_parameter_of_a_node_passes_for_a_slip_of_anothers():
+    for node in NODES:
+        for other in NODES:
+            slips = [p.name for p in parameters_of(other) if parameters_of(node).is_slip(p.name)]
+            assert slips == [], f"{node}, {other}"
 
 
 def test_parameters_have_si_units_and_no_negative_time_rate_or_size():
