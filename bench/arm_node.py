@@ -1,11 +1,13 @@
 """An arm that moves as told: a light publisher of joint states, ball positions and targets.
 
-``python -m bench.arm_node RATE_HZ SECONDS NAMESPACE`` gives targets until the arm moves, goes on
-for so many seconds, and prints when they begin.
+``python -m bench.arm_node RATE_HZ SECONDS NAMESPACE`` gives targets until the arm moves, and goes
+on for so many seconds. It prints when they begin, and at the end the times to the commands, ms, as
+JSON: after joint states, and after those with an image.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 
@@ -48,6 +50,9 @@ class Arm:
         self._joints_rad, self._velocity_rad_s = np.array(HOME_JOINTS_RAD), np.zeros(6)
         self._home_m, self._side = self._ball_m(), 1.0
         self._image_s = self._target_s = 0.0
+        self._sent = -1.0, False  # when the last joint state went, s, and whether with an image
+        #: Times to the first command after each joint state, ms, and whether with an image.
+        self.answers = []
 
     def _ball_m(self):
         return CAMERA.to_own(CHAIN.position(self._joints_rad))
@@ -57,10 +62,14 @@ class Arm:
         return bool(self._velocity_rad_s.any())
 
     def _on_command(self, data):
+        sent_s, with_image = self._sent
+        if sent_s > 0.0:
+            self.answers.append((1e3 * (time.monotonic() - sent_s), with_image))
+            self._sent = -1.0, False
         self._velocity_rad_s = np.frombuffer(data[-48:])
 
     def step(self, now_s, dt_s):
-        """Move on and send; whether with an image."""
+        """Move on and send."""
         stamp_s = self._clock.now().nanoseconds * 1e-9
         self._joints_rad = self._joints_rad + dt_s * self._velocity_rad_s
         if now_s - self._target_s > TARGET_PERIOD_S:
@@ -68,6 +77,7 @@ class Arm:
             target_m = self._home_m + self._side * OFFSET_M
             self._targets.publish(ros.to_point(stamp_s, CAMERA_FRAME, target_m))
         with_image = now_s - self._image_s > IMAGE_PERIOD_S
+        self._sent = now_s, with_image
         if with_image:
             self._image_s = now_s
             self._balls.publish(ros.to_point(stamp_s, CAMERA_FRAME, self._ball_m()))
@@ -75,7 +85,6 @@ class Arm:
             stamp_s, UR_JOINT_NAMES, self._joints_rad, self._velocity_rad_s
         )
         self._joints.publish(message)
-        return with_image
 
 
 def play(executor, arm, period_s, seconds, until=lambda: False):
@@ -98,7 +107,10 @@ def main(rate_hz, seconds, namespace):
     play(executor, arm, 1.0 / rate_hz, START_S, lambda: arm.moves)
     play(executor, arm, 1.0 / rate_hz, WARM_UP_S)
     print("begin", flush=True)
+    arm.answers.clear()
     play(executor, arm, 1.0 / rate_hz, seconds)
+    images = [answer_ms for answer_ms, with_image in arm.answers if with_image]
+    print(json.dumps([[answer_ms for answer_ms, _ in arm.answers], images]), flush=True)
     return 0 if arm.moves else 1
 
 
