@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import islice, product
 from typing import Any
 
@@ -51,24 +51,17 @@ def along(direction: np.ndarray, length: float) -> Vector:
 # ---- the world ------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class StableNoise:
-    """Symmetric alpha-stable errors of a ball position."""
+def stable_noise_m(scale_m: float, exponent: float, rng: np.random.Generator) -> np.ndarray:
+    """Symmetric alpha-stable errors of a ball position, m, (3,).
 
-    #: Standard deviation at exponent 2, m; with less, the bulk is as wide and the tails heavy.
-    scale_m: float
-    #: Above 1, up to 2 (white, normally distributed).
-    exponent: float
-    #: Larger errors of a coordinate, m, are cut off: the detection knows the size of the ball.
-    largest_m: float = 0.1
+    With an exponent from above 1 to 2 (white) and, for 2, this standard deviation, m; with less,
+    the bulk is as wide and the tails heavy.
+    """
+    from scipy.stats import levy_stable
 
-    def __call__(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw the errors of the three coordinates, m."""
-        from scipy.stats import levy_stable
-
-        scale_m = self.scale_m / np.sqrt(2.0)
-        error_m = levy_stable.rvs(self.exponent, 0.0, scale=scale_m, size=3, random_state=rng)
-        return np.clip(error_m, -self.largest_m, self.largest_m)
+    scale_m /= np.sqrt(2.0)
+    error_m = levy_stable.rvs(exponent, 0.0, scale=scale_m, size=3, random_state=rng)
+    return np.clip(error_m, -0.1, 0.1)  # the detection knows the size of the ball
 
 
 @dataclass(frozen=True)
@@ -78,7 +71,7 @@ class Conditions(SimConfig):
     The simulator's parameters, and what only the laboratory changes.
     """
 
-    #: Further noise on each coordinate, m, and that of :class:`StableNoise`; 2 for white noise.
+    #: Further noise on each coordinate, m, and its stability exponent; 2 for white noise.
     position_noise_m: float = 0.001
     noise_exponent: float = 2.0
     #: Rotation vector, camera frame, degrees, by which the camera has been carried round the scene
@@ -110,8 +103,9 @@ def simulation_of(conditions: Conditions) -> Simulation:
     carried_rad = np.radians(conditions.camera_carried_deg)
     camera = _carried_camera(carried_rad, conditions.camera_distance_m)
     simulation.configure(replace(conditions, camera_pose=camera))
-    noise = StableNoise(conditions.position_noise_m, conditions.noise_exponent)
-    simulation.position_noise = noise if noise.exponent < 2.0 else None
+    scale_m, exponent = conditions.position_noise_m, conditions.noise_exponent
+    noise = partial(stable_noise_m, scale_m, exponent) if exponent < 2.0 else None
+    simulation.position_noise = noise
     return simulation
 
 
