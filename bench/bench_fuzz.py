@@ -42,12 +42,14 @@ from bench.fuzz_world import (
     JOINT_STATES,
     MAX_AGE,
     MOST_JOINTS,
+    OBJECT,
     PLANTS,
     TICK_S,
 )
 from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.config import LAWS, PARAMETERS
 from fvs_controller_node.reasons import Reason
+from fvs_controller_node.relation import OBJECT_FRAME
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.interface import POSITION, VELOCITY
 from fvs_ros.joints import UR_JOINT_NAMES
@@ -192,7 +194,7 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
     @rule(
         ticks=TICKS,
         silent=st.just(()) | st.sets(st.sampled_from(list(MAX_AGE))),
-        frozen=st.just(()) | st.sets(st.sampled_from((JOINT_STATES, BALL))),
+        frozen=st.just(()) | st.sets(st.sampled_from((JOINT_STATES, BALL, OBJECT))),
         steady_s=STEADY_S,
         ros_s=st.one_of(st.none(), STAMP_S),
     )
@@ -200,7 +202,12 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
         """Let time pass, by any clocks, with inputs that fall silent or repeat their stamps."""
         self.run(ticks, **how)
 
-    @rule(name=st.sampled_from(["start", "stop", "set_current_as_target"]), ticks=TICKS)
+    @rule(
+        name=st.sampled_from(
+            ["start", "stop", "set_current_as_target", "teach", "go_to_reference"]
+        ),
+        ticks=TICKS,
+    )
     def call(self, name, ticks=0):
         """Call a service."""
         own = {"start": self.start, "stop": self.stop}
@@ -221,6 +228,37 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
             at_m = at_m + step_m
             self.send_target(at_m)
             self.run(every)
+
+    @rule(way_m=vector(N_AXES, 0.2), ticks=TICKS)
+    def relate(self, way_m, ticks):
+        """Put an object there, and send a target relative to it."""
+        self.object_m = self.ball()
+        self.run(FRESH_TICKS)
+        self.send_target(way_m, OBJECT_FRAME)
+        self.start()
+        self.run(ticks)
+
+    @rule(step_m=vector(N_AXES, 0.3), steps=st.integers(1, 100), seen=st.booleans())
+    def carry(self, step_m, steps, seen=True):
+        """Carry the object away, at once or steadily, in view or not."""
+        if self.object_m is not None:
+            for _ in range(steps):
+                self.object_m = self.object_m + np.array(step_m) / steps
+                self.run(1, silent=() if seen else [OBJECT])
+
+    def carry_hidden(self, step_m):
+        """Carry the object away while it is hidden; once it is seen, a motion needs a start."""
+        self.carry(step_m, 100, False)
+        self.run(9)
+        self.end_session()
+        self.run(50)
+
+    @rule(odd=odd_at(N_AXES), late_s=STAMP_S, frame=FRAME)
+    def odd_object(self, odd, late_s=0.0, frame=CAMERA_FRAME):
+        """Send an object's position with numbers, stamp or frame that are odd."""
+        object_m = HOME_BALL_M.copy()
+        object_m[list(odd)] = list(odd.values())
+        self.send_object(object_m, self.ros_s - late_s, frame)
 
     @rule(changes=CHANGES, ticks=TICKS)
     def change(self, changes, ticks=0):

@@ -15,9 +15,10 @@ from unittest import mock
 
 from bench import fuzz_world
 from bench.bench_fuzz import IMPATIENT, N_AXES, Machine
-from bench.fuzz_world import BALL, FRESH_TICKS, JACOBIAN, BrokenPromiseError
+from bench.fuzz_world import BALL, FRESH_TICKS, JACOBIAN, OBJECT, BrokenPromiseError
 from fvs_controller_node.node import ControllerNode
 from fvs_controller_node.reasons import Finding, Reason
+from fvs_controller_node.relation import Relation
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import UR_JOINT_NAMES
 
@@ -88,6 +89,16 @@ SCRIPTS = {
     "the arm is stuck": [do("work", ticks=0), do("arm", "ignores", 600)],
     "the program stops": [do("work"), do("robot", running=False), do("robot")],
     "the slider is at zero": [do("work"), do("robot", percent=0.0)],
+    "an object moves while it is hidden": [
+        do("relate", (0.05, 0.0, 0.0), 100),
+        do("change", {"object_may_be_hidden_s": 3.0}),
+        do("wait", 60),
+        do("carry_hidden", (0.04, 0.03, 0.0)),
+    ],
+    "an object falls silent": [
+        do("relate", (0.05, 0.0, 0.0), 20),
+        do("wait", 60, silent=[OBJECT]),
+    ],
     "the law fails": [do("work"), do("mad_law")],
 }
 
@@ -141,6 +152,9 @@ _FAR = [9.0] * len(UR_JOINT_NAMES)
 _NO_LIMIT = {"workspace_min_m": [-9.0] * N_AXES, "workspace_max_m": [9.0] * N_AXES}
 _STAMPS = mock.patch("fvs_controller_node.loop.repeats", return_value=False)
 _SHARED = mock.patch("fvs_controller_node.inbox.Inbox.conflicting_command")
+_STANDS = mock.patch.object(
+    Relation, "moved_m", property(lambda _: 0.0, lambda *_: None), create=True
+)
 _RAMP = mock.patch("fvs_ros.limiter.ramp_to_zero", lambda velocity, *_: 1.001 * velocity)
 
 MUTANTS = (
@@ -164,6 +178,10 @@ MUTANTS = (
     Mutant("the error grows", "OSCILLATING", "the ball swings", "a swing is held"),
     Mutant("the image does not follow", "IMAGE_NOT_FOLLOWING", "the image freezes", _FROZEN),
     Mutant("a joint does not follow", "NOT_FOLLOWING", "the arm is stuck", _STUCK),
+    Mutant("the object of a relative target", "STALE", "an object falls silent", _FRESH),
+    Mutant(
+        "the object of a relative target", _STANDS, "an object moves while it is hidden", _ASKED
+    ),
     Mutant("the robot program stopped", "PROGRAM_STOPPED", "the program stops", _ZEROS),
     Mutant("the robot program stopped", "SPEED_SCALING_ZERO", "the slider is at zero", _ZEROS),
 )

@@ -74,7 +74,7 @@ class JudgedWorld(World):
         keep("a tick that counts for nothing changes nothing", dt_s or stands, v)
         if dt_s:
             self._judge_limits(command, brake_rad_s2, brake_rad_s2 * dt_s, fast)
-        trouble = not self.program_runs or self.scaling <= 0.0 or self.bad
+        trouble = not self.program_runs or self.scaling <= 0.0 or self.bad - self.idle
         at_once, moves = reason.stop is Stop.AT_ONCE, not jerk and v.any()
         keep("zeros at once", not (at_once and moves), v, reason.name)
         keep("zeros whatever came first", not (trouble and moves), v, reason.name, self.bad)
@@ -203,7 +203,7 @@ class JudgedWorld(World):
         if self._autostart_left:  # it starts once by itself
             self.session, self._autostart_left = True, False
         keep("moves when asked only", self.session)
-        for name in MAX_AGE:
+        for name in {*MAX_AGE} - self.idle:
             age_s = now_s - self.arrived_s[name]
             keep("fresh inputs", age_s <= self.max_age_s(name), name, age_s)
             trusted = self.good[name] == math.inf

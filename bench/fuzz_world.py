@@ -16,6 +16,7 @@ from sensor_msgs.msg import JointState
 
 from bench.dry_node import DryController
 from fvs_controller_node.config import PARAMETERS, SupervisorConfig
+from fvs_controller_node.relation import OBJECT_FRAME
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.interface import POSITION
@@ -41,10 +42,12 @@ _JACOBIAN = np.array(
     ]
 )
 JOINT_STATES, BALL, JACOBIAN = "joint_states", "ball_position", "jacobian"
+OBJECT = "object_position"
 #: The input's limit of age, by input.
 MAX_AGE = {
     JOINT_STATES: "joint_states_max_age_s",
     BALL: "ball_max_age_s",
+    OBJECT: "ball_max_age_s",
     JACOBIAN: "jacobian_max_age_s",
 }
 
@@ -86,7 +89,9 @@ class World:
         arm = {"joint_min_rad": [-3.6] * joints, "joint_max_rad": [3.6] * joints}
         if joints != len(UR_JOINT_NAMES):
             arm["joint_names"] = [f"joint_{number}" for number in range(joints)]
-        parameters = {**arm, "joint_state_rate_hz": 1.0 / TICK_S, **(parameters or {})}
+        nowhere = "/proc/nowhere/references.yaml"  # nothing is written
+        own = {"joint_state_rate_hz": 1.0 / TICK_S, "references_path": nowhere}
+        parameters = {**arm, **own, **(parameters or {})}
         self.values = ParameterSet(PARAMETERS).values(parameters)
         self.limits = JointLimits.from_values(self.values)
         self.now_s, self.ros_s = 100.0, epoch_s
@@ -107,13 +112,15 @@ class World:
         self.seen_share = 1.0  # of the ball's motion, that the camera shows
         self.estimate = self.true
         self._images = deque(maxlen=5)  # the camera's latency is four ticks
+        self.object_m = None  # none is there
+        self.relative = False  # whether the target is relative to it
         self._beats = 0
         # the account: what a good controller knows
         self.session, self._autostart_left = False, self.values["autostart"]
         self.asked_s = -math.inf  # when ~/start was called last
         self.program_runs, self.scaling = True, 100.0
         self.arrived_s = dict.fromkeys(MAX_AGE, -math.inf)
-        self._balls_s = []
+        self._seen_s = {BALL: [], OBJECT: []}
         self.good = dict.fromkeys(MAX_AGE, 0.0)  # messages since the last trouble; inf: trusted
         self.bad = set()
         self.stamps_s = {}
@@ -155,6 +162,9 @@ class World:
             if BALL not in silent and self._beats % 4 == 0:
                 stamp_s, ball = self._images[0]
                 self.send_ball(ball, self.stamps_s.get(BALL, 0.0) if BALL in frozen else stamp_s)
+            if self.object_m is not None and OBJECT not in silent and self._beats % 4 == 2:
+                last_s = self.stamps_s.get(OBJECT, 0.0)
+                self.send_object(self.object_m, last_s if OBJECT in frozen else self.ros_s)
             if JACOBIAN not in silent and self._beats % 2 == 0:
                 self.send_jacobian(ros.to_jacobian(self.estimate))
             if JOINT_STATES in silent:
@@ -201,18 +211,25 @@ class World:
         self.good[name] = 1.0 if late or name in self.bad else self.good[name] + 1.0
         if self.good[name] >= SupervisorConfig.fresh_samples:
             self.good[name] = math.inf
-        self._balls_s += [self.now_s] if name == BALL else []
+        if name in self._seen_s:
+            self._seen_s[name].append(self.now_s)
         self.arrived_s[name] = self.now_s
         self.bad.discard(name)
 
-    def image_period_s(self):
+    def image_period_s(self, name=BALL):
         """Longest time between the last images, s."""
-        return max(np.diff(self._balls_s[-10:]), default=0.0)
+        return max(np.diff(self._seen_s[name][-10:]), default=0.0)
+
+    @property
+    def idle(self):
+        """Inputs that do not count now."""
+        return set() if self.relative else {OBJECT}
 
     def max_age_s(self, name):
-        """Age up to which an input is fresh, s; the ball's of a slow camera is half a second."""
-        slow_s = min(0.5, 2.5 * self.image_period_s()) if name == BALL else 0.0
-        return max(self.values[MAX_AGE[name]], slow_s)
+        """Age up to which an input is fresh, s; of what a slow camera sees half a second."""
+        slow_s = min(0.5, 2.5 * self.image_period_s(name)) if name in self._seen_s else 0.0
+        hidden_s = self.values["object_may_be_hidden_s"] if name == OBJECT else 0.0
+        return max(self.values[MAX_AGE[name]], slow_s) + hidden_s
 
     def send_joints(self, joints_rad, stamp_s, names=None):
         """Send a joint state; the node ticks."""
@@ -243,6 +260,14 @@ class World:
         self._note(BALL, value, ros.from_stamp(message.header.stamp))
         self.node._on_feature(message)
 
+    def send_object(self, object_m, stamp_s, frame=CAMERA_FRAME):
+        """Send an object's position, m."""
+        message = ros.to_point(stamp_s, frame, object_m)
+        value = _read(ros.from_feature, message, Ball(), CAMERA_FRAME, OBJECT)
+        self._note(OBJECT, value, ros.from_stamp(message.header.stamp))
+        self.new_task |= self.relative
+        self.node._on_object(message)
+
     def send_jacobian(self, message):
         """Send a Jacobian, m/rad."""
         self._note(JACOBIAN, _read(ros.from_jacobian, message, self.joints.size))
@@ -268,9 +293,12 @@ class World:
         before = self.target_m
         self.node._on_target(ros.to_point(self.ros_s, frame, target_m))
         low, high = (np.array(self.values[f"workspace_{end}_m"]) for end in ("min", "max"))
-        allowed = frame == CAMERA_FRAME and np.all((low <= target_m) & (target_m <= high))
+        inside = np.all((low <= target_m) & (target_m <= high))
+        allowed = frame == OBJECT_FRAME or (frame == CAMERA_FRAME and inside)
         same = np.array_equal(before, self.target_m)
         keep("a wrong target changes nothing", allowed or same, target_m, frame)
+        if not self.node._refusal:
+            self.relative = frame == OBJECT_FRAME
 
     @property
     def target_m(self):

@@ -87,8 +87,6 @@ class InputMonitor:
 
     def find(self, now_s: float) -> Finding | None:
         """Find what is wrong with this input now, if anything."""
-        if not self.needed:
-            return None
         age_s = self.age_s(now_s)
         limit, limit_s = self._limit, getattr(self.config, self._limit) if self._limit else inf
         if limit_s < self._periods_s:
@@ -98,7 +96,7 @@ class InputMonitor:
         if stale:
             self._streak = 0
             self._trouble = self._trouble or Reason.STALE
-        if self._trouble is None:
+        if self._trouble is None or not self.needed:
             return None
         numbers = {"name": self.name, "count": self._streak, "wanted": self.config.fresh_samples}
         if self._trouble is Reason.BAD_INPUT:
@@ -232,6 +230,14 @@ class Inbox:
     def speed_scaling(self) -> float:
         """Speed of the robot over the commanded one, 0 to 1."""
         return min(self._speed_scaling, 100.0) / 100.0
+
+    def hidden(self, now_s: float) -> str:
+        """That an object is hidden and its last place counts, in words; empty if it is seen."""
+        monitor, max_age_s = self[OBJECT], self._config.ball_max_age_s
+        age_s = monitor.age_s(now_s)
+        if not monitor.needed or age_s <= max_age_s or age_s > max_age_s + monitor.spare_s:
+            return ""
+        return f"{monitor.name} is {age_s:.1f} s old: where the object stood counts"
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Ages and the robot's reports, always the same keys in the same order."""

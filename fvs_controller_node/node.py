@@ -280,7 +280,8 @@ class ControllerNode(ros.FvsNode):
             return
         silence = "" if command.state is State.SERVOING else self._silence
         ranges = "" if self._loop.supervisor.config.ranges_known else _NO_RANGES
-        remarks = [remark for remark in (self._refusal, silence, ranges) if remark]
+        hidden = self._loop.supervisor.inputs.hidden(self.now_s())
+        remarks = [remark for remark in (self._refusal, silence, ranges, hidden) if remark]
         if self._conflicting:
             remarks.append(f"{self._conflicting} publishes commands as well: stop it")
         text = f"{command.text} ({'; '.join(remarks)})" if remarks else command.text

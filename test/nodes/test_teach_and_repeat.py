@@ -53,7 +53,10 @@ def test_what_is_taught_is_found_again_where_the_object_is(ros_test, tmp_path):
     kitchen.wait(lambda: kitchen.reason() == "SETTLED", what="SETTLED")
     assert kitchen.off_m(taught_m) < 0.005
 
+    kitchen.harness.set_parameters(NAME, object_may_be_hidden_s=1.0)
+    kitchen.harness.spin_for(0.1)  # so that an image of it tells that it stands
     kitchen.seen = False
+    kitchen.wait(lambda: "where the object stood counts" in kitchen.text(), what="a remark")
     kitchen.wait(lambda: kitchen.reason() == "STALE", what="a hold")
     assert "object_position is" in kitchen.text()
     kitchen.seen = True
