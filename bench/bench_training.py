@@ -11,51 +11,39 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from ur5_dh import BOX_M_RAD, HOME_RAD, ball_and_jacobian, jacobian_error, uniform_in_box
+from recordings import Recording
+from ur5_dh import BOX_M_RAD, HOME_RAD
 
 from fvs_estimator_node.files import DataSet
-from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.training import METHODS, TrainingOptions, train
 
-CAMERA_HZ, NOISE_M = 30.0, 1e-3
+RECORDING = Recording(seconds=120.0, outliers=0.0, late_s=0.0)
 
 
-def data_set(rng, joints, segment):
-    """Noisy ball positions at joints, rad, (N, 6)."""
-    ball = ball_and_jacobian(joints)[0]
-    stamps_s = np.arange(len(joints)) / CAMERA_HZ
-    return DataSet(stamps_s, joints, ball + NOISE_M * rng.standard_normal(ball.shape), segment)
-
-
-def probes(rng, count=5000, size_rad=0.2):
+def probes(count=5000, size_rad=0.2):
     """Pairs of near poses all over the box."""
-    middle = uniform_in_box(rng, count)
+    rng = np.random.default_rng(0)
+    middle = HOME_RAD + BOX_M_RAD * rng.uniform(-1.0, 1.0, (count, 6))
     half = 0.5 * rng.uniform(-size_rad, size_rad, middle.shape)
     joints = np.stack([middle - half, middle + half], axis=1).reshape(2 * count, -1)
-    return data_set(rng, joints, np.repeat(np.arange(count), 2))
-
-
-def motion(rng, duration_s=120.0):
-    """What the collector records."""
-    random_motion = RandomMotion(
-        HOME_RAD, MotionConfig(duration_s=duration_s, joint_range_rad=tuple(BOX_M_RAD)), rng
-    )
-    joints = [HOME_RAD.copy()]
-    for k in range(round(duration_s * CAMERA_HZ) - 1):
-        joints.append(joints[-1] + random_motion.command(k / CAMERA_HZ, joints[-1]) / CAMERA_HZ)
-    return data_set(rng, np.array(joints), np.zeros(len(joints), dtype=int))
+    ball = RECORDING.chain().position(joints)
+    ball += RECORDING.noise_m * rng.standard_normal(ball.shape)
+    return DataSet(np.arange(2 * count) / 30.0, joints, ball, np.repeat(np.arange(count), 2))
 
 
 def main():
     """Print a row for each data set and method."""
+    joints = RECORDING.sampled_joints(2000)
+    true = RECORDING.chain().jacobian(joints)
     print(f"{'data':24s} {'method':8s} {'Jacobian error':>14s} {'pair error':>12s} {'wall':>9s}")
-    for name, make in {"5000 probes of 0.2 rad": probes, "motion of 120 s": motion}.items():
-        data = make(np.random.default_rng(0))
+    sets = {"5000 probes of 0.2 rad": probes(), "motion of 120 s": RECORDING.data()}
+    for name, data in sets.items():
         for method in reversed(METHODS):
             start_s = time.perf_counter()
             trained = train(data, TrainingOptions(method=method))
             wall_s = time.perf_counter() - start_s
-            percent = 100.0 * jacobian_error(trained.model.jacobian)
+            percent = 100.0 * np.linalg.norm(trained.model.jacobian(joints) - true)
+            percent /= np.linalg.norm(true)
             pair_mm = 1e3 * trained.errors.get("pair_error_m", np.nan)  # poe has none
             cells = f"{percent:12.2f} % {pair_mm:9.2f} mm {wall_s:7.1f} s"
             print(f"{name:24s} {method:8s} {cells}", flush=True)

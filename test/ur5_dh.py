@@ -47,25 +47,3 @@ def axes_origins_ball(joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     axes = np.stack([rotation[..., :, 2] for rotation, _ in joints], axis=-2)
     ball = origin + BALL_BEYOND_FLANGE_M * rotation[..., :, 2]
     return axes, np.stack([point for _, point in joints], axis=-2), ball
-
-
-def ball_and_jacobian(joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ball in the camera frame, m, (..., 3), and its Jacobian, m/rad, (..., 3, 6)."""
-    axes, origins, ball = axes_origins_ball(joints_rad)
-    jacobian = np.swapaxes(np.cross(axes, ball[..., None, :] - origins), -1, -2)
-    return (
-        np.einsum("ij,...j->...i", CAMERA_FROM_BASE, ball - CAMERA_ORIGIN_M),
-        np.einsum("ij,...jk->...ik", CAMERA_FROM_BASE, jacobian),
-    )
-
-
-def uniform_in_box(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Joints evenly in box M, rad, (count, 6)."""
-    return HOME_RAD + rng.uniform(-1.0, 1.0, (count, 6)) * BOX_M_RAD
-
-
-def jacobian_error(jacobian_of, seed: int = 12345, count: int = 2000) -> float:
-    """Relative Frobenius error of a Jacobian function on joints of box M never trained on."""
-    joints = uniform_in_box(np.random.default_rng(seed), count)
-    true = ball_and_jacobian(joints)[1]
-    return float(np.linalg.norm(jacobian_of(joints) - true) / np.linalg.norm(true))

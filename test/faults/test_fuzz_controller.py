@@ -32,12 +32,6 @@ def test_no_promise_is_broken_whatever_happens():
     assert counts["moving"] > 200
 
 
-def test_nothing_but_a_start_starts_it(monkeypatch):
-    monkeypatch.setattr(World, "start", lambda _self: None)
-    _, broken = bench_fuzz.play(0, ticks=1_500, settings=FEW)
-    assert not broken, broken
-
-
 def test_every_reason_is_met():
     met = set()
     for script in SCRIPTS.values():

@@ -1,10 +1,9 @@
-"""A serial chain: its derivative, an independent kinematics, another camera, and its refusals."""
+"""A serial chain: its derivative, another camera, and its refusals."""
 
 import numpy as np
 import pytest
-import ur5_dh
 from cases import each
-from recordings import random_rotation, ur5_chain
+from recordings import random_rotation
 
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 
@@ -31,15 +30,6 @@ def test_the_jacobian_is_the_derivative_of_the_position(count, features):
     position, jacobian = chain.position_and_jacobian(joints[0])
     np.testing.assert_allclose(position, chain.position(joints)[0], atol=1e-12)
     np.testing.assert_allclose(jacobian, chain.jacobian(joints)[0], atol=1e-12)
-
-
-def test_it_is_the_arm_of_the_dh_table():
-    chain = ur5_chain(reference_rad=np.array([0.3, -1.0, 1.2, -2.0, 0.5, 1.0]))
-    joints = np.random.default_rng(0).uniform(-3.0, 3.0, (200, 6))
-    ball, jacobian = ur5_dh.ball_and_jacobian(joints)
-    position, columns = chain.position_and_jacobian(joints)
-    np.testing.assert_allclose(position, ball, atol=1e-9)
-    np.testing.assert_allclose(columns, jacobian, atol=1e-9)
 
 
 def test_a_moved_camera_sees_the_same_arm_elsewhere():

@@ -39,18 +39,6 @@ def learn(estimator, steps):
 # --- what each method is ---
 
 
-@each("method", ONLINE)
-def test_the_jacobian_of_a_linear_plant_is_learned(method):
-    rng = np.random.default_rng(1)
-    true = rng.normal(size=(3, 6))
-    estimator = create_estimator(method, {**ZERO, "online.initial_deviation_m_rad": 0.5})
-    assert "it starts from zero" in estimator.problem
-    learned = learn(estimator, random_steps(rng, 1000, true))
-    assert not estimator.problem
-    assert np.linalg.norm(learned - true) < 1e-3 * np.linalg.norm(true)
-    assert estimator.updates == 1000
-
-
 @each("joints", [6, 2])
 def test_the_unscented_filter_is_the_linear_one(joints):
     linear, unscented = (create_estimator(method, ZERO) for method in ("lkf", "ukf"))

@@ -11,14 +11,11 @@ from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.rbf import RbfConfig, RbfEstimator, RbfModel
 
 
-def random_step(rng, model=None, weights=None, sliding=False, dt_s=0.04):
-    joints, d_joints = rng.uniform(-1.0, 1.0, 6), 0.03 * rng.uniform(-1.0, 1.0, 6)
-    d_ball = 0.02 * rng.normal(size=3)
-    if model is not None:
-        true = RbfModel(model.centres, model.widths, weights)
-        d_ball = true.jacobian(joints) @ d_joints
-    s = 0.1 * rng.normal(size=3) if sliding else np.zeros(3)
-    return MotionStep(1.0, dt_s, joints, d_joints, d_ball, s)
+def random_step(rng, dt_s=0.04, true=None):
+    """Any motion, seen by a camera as it is or through the true networks."""
+    joints, velocity = rng.uniform(-1.0, 1.0, 6), 0.75 * rng.uniform(-1.0, 1.0, 6)
+    seen = 0.5 * rng.normal(size=3) if true is None else true.jacobian(joints) @ velocity
+    return MotionStep(1.0, dt_s, joints, dt_s * velocity, dt_s * seen, 0.1 * rng.normal(size=3))
 
 
 @each("target", ["offline", "zero"])
@@ -27,7 +24,7 @@ def test_the_update_is_equation_17_by_hand(target):
     config = RbfConfig(n1=0.4, alpha2=0.2, k3=0.05, leak_target=target, mu=1.9)
     estimator = RbfEstimator(model, config)
     for _ in range(3):
-        step = random_step(rng, sliding=True)
+        step = random_step(rng)
         before = estimator.weights
         distances = np.linalg.norm(step.joints_rad - model.centres, axis=2)
         theta = np.exp(-((distances / model.widths) ** 2))  # (8)
@@ -47,30 +44,14 @@ def test_the_update_is_equation_17_by_hand(target):
         np.testing.assert_allclose(estimator.weights, expected, rtol=1e-9, atol=1e-12)
 
 
-def test_the_weight_error_never_grows_when_the_true_weights_exist():
-    model, rng = random_networks(), np.random.default_rng(3)
-    true = model.weights + 0.3 * rng.normal(size=model.weights.shape)
-    for n1 in (0.3, 3.0, 300.0):
-        estimator = RbfEstimator(model, RbfConfig(n1=n1, alpha2=0.0))
-        errors = [np.linalg.norm(estimator.weights - true)]
-        for _ in range(500):
-            estimator.update(random_step(rng, model, true))
-            errors.append(np.linalg.norm(estimator.weights - true))
-        assert np.all(np.diff(errors) <= 1e-12)
-        assert errors[-1] < 0.95 * errors[0]
-
-
 def test_the_lyapunov_function_gains_what_the_sliding_term_must_cancel():
     # d/dt tr(dW dW') / 2 = -(n1 |e|^2 + alpha2 s'e): with plus, as in the corrected law
     model, rng = random_networks(), np.random.default_rng(4)
     true = model.weights + 0.3 * rng.normal(size=model.weights.shape)
     config, dt_s = RbfConfig(n1=0.5, alpha2=0.3), 1e-6
-    step = random_step(rng, model, true, sliding=True)
-    v = step.d_joints_rad / step.dt_s
-    step = MotionStep(1.0, dt_s, step.joints_rad, v * dt_s, step.d_feature_m / step.dt_s * dt_s,
-                      step.sliding_variable)  # fmt: skip
-    estimator = RbfEstimator(model, RbfConfig(n1=0.5, alpha2=0.3))
-    e = step.d_feature_m / step.dt_s - estimator.jacobian(step.joints_rad) @ v
+    step = random_step(rng, dt_s, RbfModel(model.centres, model.widths, true))
+    estimator = RbfEstimator(model, config)
+    e = (step.d_feature_m - estimator.jacobian(step.joints_rad) @ step.d_joints_rad) / dt_s
     before = np.sum((true - estimator.weights) ** 2) / 2.0
     estimator.update(step)
     slope = (np.sum((true - estimator.weights) ** 2) / 2.0 - before) / dt_s
