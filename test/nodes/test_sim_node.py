@@ -1,6 +1,5 @@
 """The simulator node as others see it: over DDS, in the contract of a real UR5."""
 
-from unittest.mock import Mock
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,8 +14,7 @@ from fvs_ros import ros, topics
 from fvs_ros.joints import UR_JOINT_NAMES, JointMap
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
-from fvs_sim_node.config import PARAMETERS, SimNodeConfig
-from fvs_sim_node.node import SimNode
+from fvs_sim_node.config import PARAMETERS
 
 MODULE = "fvs_sim_node.node"
 
@@ -108,20 +106,6 @@ def test_images_are_rendered_for_subscribers_and_match_camera_info(ros_test):
     assert red > max(100, 2 * green)
     surface_m = np.frombuffer(depth.data, np.uint16).reshape(480, 640)[v, u] * 1e-3
     assert surface_m == pytest.approx(ball.z - 0.04, abs=0.02)
-
-
-def test_a_frame_in_flight_keeps_the_stamp_of_its_exposure_over_a_reset():
-    node, color = SimNode.__new__(SimNode), Mock()
-    worker = Mock(finished=lambda: (np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2), np.float32)))
-    vars(node).update(_base_s=100.0, _sim=Mock(time_s=5.0), _worker=worker, _watched=True)
-    vars(node).update(_config=SimNodeConfig(), _exposed_s=-np.inf, _frame="camera", _refusal="")
-    vars(node).update(_color=color, _depth=color, _paused_active=None)
-    vars(node).update(_info=Mock(get_subscription_count=lambda: 0))
-    node._publish_observation(Mock(stamp_s=5.0, z=None, frame=None))
-    node._on_reset(None, Mock())
-    node._publish_drawn_frame()
-    sent = [call.args[0] for call in color.publish.call_args_list]
-    assert [ros.from_stamp(message.header.stamp) for message in sent] == [105.0, 105.0]
 
 
 def test_a_viewer_learns_of_robot_and_camera_whenever_it_comes(ros_test):

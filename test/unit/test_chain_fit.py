@@ -137,19 +137,10 @@ def test_a_joint_that_stood_still_spoils_no_other():
     assert np.median(fit.jacobian_deviation(probes[:20])) > 0.3
 
 
-def on_a_thread(data):
-    time_s = data.stamps_s[:, None]
-    return replace(data, z=data.z + 0.01 * np.sin(7.0 * time_s + [0.0, 1.0, 2.0]))
-
-
-def misnamed(data):
-    return replace(data, joints_rad=data.joints_rad[:, [1, 0, 2, 3, 4, 5]])
-
-
-@each("spoilt", [on_a_thread, misnamed])
-def test_what_is_no_chain_shows(spoilt):
-    fit = fit_chain(spoilt(Recording(seconds=20.0, late_s=0.0, outliers=0.2).data()))
-    assert fit.misfit > 2.0
+def test_joints_that_are_misnamed_show():
+    data = Recording(seconds=20.0, late_s=0.0, outliers=0.2).data()
+    swapped = data.joints_rad[:, [1, 0, 2, 3, 4, 5]]
+    assert fit_chain(replace(data, joints_rad=swapped)).misfit > 2.0
 
 
 @each("frozen", [False, True])

@@ -45,11 +45,6 @@ def mostly_hidden(rgb, depth):
     return rgb, depth
 
 
-def flat(rgb, depth):
-    depth[red(rgb)] = 1.2
-    return rgb, depth
-
-
 OTHER = ("ball_radius_m", "uncover", "align_depth.enable:=true")
 
 
@@ -61,7 +56,6 @@ OTHER = ("ball_radius_m", "uncover", "align_depth.enable:=true")
         (lambda rgb, depth: (rgb, depth * 1e-3), OTHER),
         (lambda rgb, depth: (rgb, np.roll(depth, 60, axis=1)), OTHER),
         (mostly_hidden, OTHER),
-        (flat, OTHER),
     ],
 )
 def test_what_is_not_the_ball_is_described_with_all_that_may_be_wrong(spoil, hints):

@@ -1,4 +1,4 @@
-"""The compared laws (48) and (49): each is the minimiser of its cost, and always finite."""
+"""The compared laws (48) and (49): each is the minimiser of its cost."""
 
 import math
 

@@ -63,14 +63,6 @@ def test_time_rates_and_latency(make):
         assert latency_s - 1e-9 <= min(ages) <= max(ages) < latency_s + PERIOD_S + 1e-9
 
 
-def test_the_ball_comes_from_the_image(make):
-    simulation = make(image_width=320, image_height=240)
-    assert simulation.intrinsics.fx == pytest.approx(307.5)
-    seen = observations(drive_waves(simulation, 125))
-    errors = [np.linalg.norm(o.z - o.true_position_m) for o in seen]
-    assert 0.0 < np.sqrt(np.mean(np.square(errors))) < 3e-3
-
-
 def assert_white(errors, deviation):
     few = 3.5 / np.sqrt(len(errors))  # chance gets there once in two thousand times
     np.testing.assert_allclose(errors.std(axis=0), deviation, rtol=few / np.sqrt(2.0))

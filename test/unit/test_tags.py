@@ -170,16 +170,6 @@ def test_a_tag_seen_squarely_is_certain_only_after_a_view_at_an_angle():
     assert find(9.0, 0.2) is None
 
 
-def test_position_and_rotation_are_exact_without_noise():
-    rng, finder = np.random.default_rng(3), PoseFinder(TAG)
-    for k in range(50):
-        rotation, position_m = random_pose(rng)
-        pose, _ = finder.find(float(k), {0: corners(corners_px(rotation, position_m))}, VGA)
-        if pose is not None:
-            np.testing.assert_allclose(pose.position_m, position_m, atol=1e-6)
-            assert angle_rad(pose.rotation, rotation) < 1e-5
-
-
 # --- several tags on one body ---
 
 
@@ -247,17 +237,6 @@ def test_the_tags_of_a_cube_are_its_print_folded_back():
 
 
 # --- the detector ---
-
-
-def test_a_drawn_tag_is_followed_through_a_small_window():
-    detector = TagDetector(DetectorConfig(feature="pose", tag=TAG))
-    for k in range(20):
-        position_m = MIDDLE + [0.01 * k - 0.1, 0.0, 0.0]
-        sighting = look(detector, draw([(0, turned(0.5), position_m)]), k / 30.0)
-        assert sighting.problem == ""
-        assert np.linalg.norm(sighting.detection.position_m - position_m) < 2e-3
-        assert angle_rad(sighting.detection.rotation, turned(0.5)) < 0.03
-    assert look(detector, draw([]), 21 / 30.0).detection is None
 
 
 def test_a_lens_that_distorts_changes_nothing():
