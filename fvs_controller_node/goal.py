@@ -201,8 +201,8 @@ class Goal:
         self.target, self._now_m = target, path_m
         return True, f"target set to {self._config.kind.text(target)}"
 
-    def track(self, now_s: float) -> None:
-        """Update a moving target to now, s; outside the workspace it stays at its last position."""
+    def move_on(self, now_s: float) -> None:
+        """Move a moving target to where it is now, s; at the workspace's end it stays."""
         target, now_m, self.velocity_m_s = self._followed.at(now_s)
         if target is None or not self._outside(target):
             self.target, self._now_m = target, now_m

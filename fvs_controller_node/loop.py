@@ -20,7 +20,7 @@ from fvs_controller_node.reasons import Finding, Reason, State
 from fvs_controller_node.redundancy import make_inverse
 from fvs_controller_node.references import Reference
 from fvs_controller_node.relation import OBJECT_FRAME, Relation, Teacher
-from fvs_controller_node.supervisor import Command, Present, Supervisor, checked_output
+from fvs_controller_node.supervisor import Command, Present, Supervisor, checked
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
 from fvs_ros.filter import Image
@@ -83,10 +83,10 @@ class ServoLoop:
     def configure(self, values: Mapping[str, Any]) -> None:
         """Take over changed values while running; nothing changes if one is refused."""
         law = make_law(values)
-        follower = make_inverse(values, least_speed=law.plans)
+        inverse = make_inverse(values, least_speed=law.plans)
         own = ControllerConfig.from_values(values)
         self.supervisor.configure(SupervisorConfig.from_values(values))
-        self.law, self._follower, self._follows = law, follower, own.target_feed_forward
+        self.law, self._inverse, self._feeds_forward = law, inverse, own.target_feed_forward
         # What is learned is the lag of velocities; a position drive may take longer.
         self._least_lag_s = LONGEST_LAG_S if own.command_interface == POSITION else 0.0
         self._following.restart()  # a range may count for another length now
@@ -242,7 +242,7 @@ class ServoLoop:
         goal = self.supervisor.goal
         accepted, text = goal.set(*target)
         if accepted:
-            self._note(Change.MEASUREMENT if goal.moving and self._follows else Change.TARGET)
+            self._note(Change.MEASUREMENT if goal.moving and self._feeds_forward else Change.TARGET)
         return accepted, text
 
     def _note(self, change: Change) -> None:
@@ -280,8 +280,8 @@ class ServoLoop:
 
     def _present(self, now_s: float) -> Present:
         """What is known at this tick."""
-        if self._follows:
-            self.supervisor.goal.track(self._stamp_s)
+        if self._feeds_forward:
+            self.supervisor.goal.move_on(self._stamp_s)
         if self._home is None:  # motion before this start must not count
             self._agreement.restart()
         z = self.track.now()
@@ -300,9 +300,11 @@ class ServoLoop:
         last = self.supervisor.velocity_rad_s
         if dt_s <= 0.0:  # it repeats the last command
             return None, ControlOutput.plain(last, self.kind.size)
-        finding, output = checked_output(
-            lambda: self._propose(present, last, dt_s), last, self.kind.size
-        )
+        finding, output = None, None
+        try:
+            output = checked(self._propose(present, last, dt_s), len(last), self.kind.size)
+        except Exception as error:  # whatever a law does wrong
+            finding = Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}")
         if output is not None and self._new_image:
             self.sliding_variable = output.sliding_variable
         self._change, self._new_image = Change.NOTHING, False
@@ -320,9 +322,9 @@ class ServoLoop:
         error_m = error_m + jacobian.dot(present.pending_rad)
         feed_forward = None
         velocity_m_s = goal.velocity_m_s
-        if self._follows and velocity_m_s is not None and velocity_m_s.any():
+        if self._feeds_forward and velocity_m_s is not None and velocity_m_s.any():
             error_m = error_m - self._drive_lag.lag_s * velocity_m_s
-            feed_forward = self._follower.joint_velocity(jacobian, velocity_m_s, joints, self._home)
+            feed_forward = self._inverse.joint_velocity(jacobian, velocity_m_s, joints, self._home)
             applied = applied - feed_forward
         state = ControlInput(
             error_m=error_m,

@@ -7,7 +7,6 @@ the law's output, or brings the arm to rest. It always returns n finite numbers.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import inf
 from typing import NamedTuple
 
@@ -313,22 +312,12 @@ class Supervisor:
         return values
 
 
-def checked_output(
-    propose: Callable[[], ControlOutput], velocity_rad_s: np.ndarray, size: int
-) -> tuple[Finding | None, ControlOutput | None]:
-    """The output of a law for as many joints as velocities, (n,), and errors of a size, d.
-
-    Or what is wrong with it: then the arm must stop.
-    """
-    counts = len(velocity_rad_s), size, size
-    try:
-        output = propose()
-        for name, value, count in zip(output._fields, output, counts, strict=True):
-            if np.shape(value) != (count,) or not all_finite(np.asarray(value)):
-                raise ValueError(f"its {name} is {value}")
-    except Exception as error:  # whatever a law does wrong
-        return Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}"), None
-    return None, output
+def checked(output: ControlOutput, joints: int, size: int) -> ControlOutput:
+    """A law's output, if it is for n joints and errors of a size, d; else a ``ValueError``."""
+    for name, value, count in zip(output._fields, output, (joints, size, size), strict=True):
+        if np.shape(value) != (count,) or not all_finite(np.asarray(value)):
+            raise ValueError(f"its {name} is {value}")
+    return output
 
 
 def _speed_share(

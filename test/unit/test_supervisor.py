@@ -12,7 +12,7 @@ from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.goal import Goal
 from fvs_controller_node.reasons import Reason, State
-from fvs_controller_node.supervisor import Present, Supervisor, checked_output
+from fvs_controller_node.supervisor import Present, Supervisor, checked
 from fvs_ros.following import Following
 from fvs_ros.kinds.pose import Pose
 
@@ -74,7 +74,10 @@ class Cell:
         )
         finding, output = supervisor.permit(now_s, DT_S, present), None
         if finding is None:
-            finding, output = checked_output(self.propose, before, 3)
+            try:
+                output = checked(self.propose(), len(before), 3)
+            except ValueError as error:
+                finding = Reason.LAW_FAULT.because(why=error)
         command = supervisor.release(now_s, DT_S, finding, output)
         self.commands.append(command)
         self.joints = self.joints + self.follows * DT_S * command.velocity_rad_s
@@ -375,9 +378,9 @@ def test_a_target_after_a_moving_one_or_a_dropped_one_is_a_task_of_its_own(dropp
     goal = Goal(config)
     for k in range(161):
         assert goal.set(TARGET + k / 160.0 * (there - TARGET), FRAME, 0.03 * k)[0]
-        goal.track(0.03 * k)
+        goal.move_on(0.03 * k)
     for tick in range(300):
-        goal.track(4.8 + DT_S * tick)
+        goal.move_on(4.8 + DT_S * tick)
         goal.see(there, DT_S, True)
     assert goal.settled
     if dropped:
