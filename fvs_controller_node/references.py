@@ -13,7 +13,7 @@ import yaml
 
 from fvs_ros.arguments import unknown
 from fvs_ros.kinds import Kind
-from fvs_ros.vectors import LARGEST
+from fvs_ros.vectors import plausible
 from fvs_ros.yaml_text import read_yaml_file
 
 _HEAD = """\
@@ -112,6 +112,8 @@ class References:
         if not isinstance(frame, str):
             raise ValueError("frame is missing: object, or the camera's frame")
         z = kind.parse(np.array([_number(entry, name) for name in kind.columns]))
+        if not plausible(kind.weights * z):
+            raise ValueError("it is too far away")
         return Reference(z, frame, speed, _number(entry, _DEVIATION, 0.0))
 
 
@@ -119,6 +121,4 @@ def _number(entry: dict[str, Any], name: str, default: float | None = None) -> f
     value = entry.get(name, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
         raise ValueError(f"{name} is {value!s:.20}, expected a number")
-    if abs(value) > LARGEST:
-        raise ValueError(f"{name} is {value!s:.20}, expected a length in m")
     return float(value)
