@@ -78,7 +78,8 @@ class ControllerNode(ros.FvsNode):
         self.subscribe(self._kind.topics.tool, self._on_feature)
         self.subscribe(self._kind.topics.object, self._on_object)
         self.subscribe(topics.JACOBIAN, self._on_jacobian)
-        self.subscribe(topics.KINEMATIC_CHAIN, self._on_chain)
+        if self._kind.rigid:
+            self.subscribe(topics.KINEMATIC_CHAIN, self._on_chain)
         self.subscribe(topics.ESTIMATOR_STATUS, self._on_estimator_status)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         self.subscribe(self._kind.topics.target, self._on_target)  # a latched one is heard twice

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from fvs_ros.camera import CameraTopicsConfig
 from fvs_ros.joints import JOINT_PARAMETERS
-from fvs_ros.kinds import KindConfig
+from fvs_ros.kinds import BodyConfig
 from fvs_ros.params import parameter
 
 #: Versions of viser that the guard is known to work with: it reaches into viser.
@@ -14,7 +14,7 @@ VISER = "viser[urdf]>=1.1,<1.2"
 
 
 @dataclass(frozen=True)
-class DashboardConfig(KindConfig, CameraTopicsConfig):
+class DashboardConfig(BodyConfig, CameraTopicsConfig):
     """Parameters of the page, apart from the joint names."""
 
     host: str = parameter(

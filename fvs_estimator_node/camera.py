@@ -131,6 +131,8 @@ class _BehindCamera(Estimator):
 
     def __init__(self, kind: Kind | None, deviation_rad: float, memory: float) -> None:
         super().__init__(kind)
+        if not self.kind.rigid:
+            raise ValueError(f"a {self.kind.what} does not turn with the camera: use rbf or frozen")
         self.camera = CameraPose(deviation_rad, memory)
 
     def reset(self) -> None:

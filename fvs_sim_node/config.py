@@ -8,7 +8,7 @@ from math import ceil
 from fvs_detector_node.tags import Tag
 from fvs_ros.camera import FeatureConfig, Intrinsics
 from fvs_ros.interface import CommandInterface
-from fvs_ros.kinds import KINDS, KindConfig
+from fvs_ros.kinds import BODIES, KindConfig
 from fvs_ros.params import live_parameter, parameter
 from fvs_sim_node.camera import CAMERAS, RigidPose
 from fvs_sim_node.robot import ROBOTS
@@ -50,7 +50,7 @@ class SimConfig(CommandInterface):
         6.3,
     )
     feature: str = parameter(
-        KindConfig.feature, "what the arm carries: a ball, or a tag (pose)", choices=tuple(KINDS)
+        KindConfig.feature, "what the arm carries: a ball, or a tag (pose)", choices=BODIES
     )
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
     tag: Tag = field(default_factory=Tag)

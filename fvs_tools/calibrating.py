@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fvs_ros.kinds import KindConfig
+from fvs_ros.kinds import BodyConfig
 from fvs_ros.params import parameter
 
 
 @dataclass(frozen=True)
-class CalibrateConfig(KindConfig):
+class CalibrateConfig(BodyConfig):
     """Parameters of ``fvs_calibrate_node``."""
 
     urdf_path: str = parameter("", "URDF of the arm; empty: robot_description")

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fvs_ros.kinds import Kind, KindConfig
+from fvs_ros.kinds import BodyConfig, Kind
 from fvs_ros.params import parameter
 from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge, largest_part_m
 
 
 @dataclass(frozen=True)
-class DemoConfig(KindConfig):
+class DemoConfig(BodyConfig):
     """Parameters of ``fvs_demo_node``."""
 
     model_path: str = parameter(

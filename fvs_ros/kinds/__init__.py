@@ -10,7 +10,7 @@ from fvs_ros.kinds.kind import ErrorText, Kind
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.params import parameter, parts_of
 
-__all__ = ["KINDS", "ErrorText", "Kind", "KindConfig"]
+__all__ = ["BODIES", "KINDS", "BodyConfig", "ErrorText", "Kind", "KindConfig"]
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,8 @@ class KindParameters(FeatureConfig):
 
 #: By the value of the parameter ``feature``.
 KINDS: dict[str, type[Kind]] = parts_of(KindParameters)
+#: Those of rigid bodies.
+BODIES = tuple(name for name, kind in KINDS.items() if kind.rigid)
 
 
 @dataclass(frozen=True)
@@ -38,3 +40,12 @@ class KindConfig(KindParameters):
         """The kind of feature."""
         kind: Kind = getattr(self, self.feature)
         return kind
+
+
+@dataclass(frozen=True)
+class BodyConfig(KindConfig):
+    """What is servoed, where only a rigid body will do."""
+
+    feature: str = parameter(
+        KindConfig.feature, "what is servoed: a ball, or the pose of a tag", choices=BODIES
+    )

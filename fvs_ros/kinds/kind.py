@@ -41,6 +41,8 @@ class Kind(Parameters):
         Share of images that are usually further off than their noise.
     least_joints : int
         Fewest joints that can servo it.
+    rigid : bool
+        Whether it is measured of a rigid body, which twists of space move.
     flat : bool
         Whether a motion's tangent vector does not depend on z.
     """
@@ -51,7 +53,7 @@ class Kind(Parameters):
     axes: ClassVar[tuple[str, ...]] = ()
     outliers = 0.01
     box_size, least_joints = 3, 1
-    flat = True
+    rigid = flat = True
 
     @classmethod
     def of_numbers(cls, count: int) -> Kind:

@@ -34,7 +34,6 @@ ALONE = {
 }
 #: With these, a node has other topics.
 OTHERS = {
-    "feature": "pose",
     "command_interface": "position",
     "compressed_images": True,
     "method": "oracle",
@@ -119,9 +118,14 @@ class LoneNode:
 def nodes(ros_test, request):
     """A node with its defaults, and with its other topics, in one process."""
     name = request.param
-    others = {key: value for key, value in OTHERS.items() if key in parameters_of(name)}
+    parameters = parameters_of(name)
+    others = {key: value for key, value in OTHERS.items() if key in parameters}
+    kinds = parameters["feature"].choices if "feature" in parameters else ()
     own = [LoneNode(ros_test, name, "lone", {})]
-    if others:
+    for kind in kinds:
+        if kind != parameters["feature"].default:
+            own.append(LoneNode(ros_test, name, f"other_{kind}", {**others, "feature": kind}))
+    if others and not kinds:
         own.append(LoneNode(ros_test, name, "other", others))
     for node in own:
         if "simulated_time" in node.values:  # waits for who answers, and does not race
