@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum, auto
+from functools import cache
+from importlib import import_module
 from typing import NamedTuple
 
 
@@ -317,3 +319,10 @@ ESTIMATOR_STATUS, CONTROLLER_STATUS, DETECTOR_STATUS = (
 
 #: All but those of the kinds of features.
 COMMON = tuple(value for value in list(vars().values()) if isinstance(value, Topic))
+
+
+@cache
+def message_class(name: str) -> type:
+    """The class of a message type such as ``sensor_msgs/msg/JointState``."""
+    module, _, of_type = name.rpartition("/")
+    return getattr(import_module(module.replace("/", ".")), of_type)

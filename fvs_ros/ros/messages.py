@@ -6,8 +6,6 @@ import math
 import sys
 import time
 from collections.abc import Iterable, Mapping
-from functools import cache
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -22,6 +20,7 @@ from fvs_ros.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
+from fvs_ros.topics import message_class
 from fvs_ros.vectors import all_finite
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -68,13 +67,6 @@ def _stamped(message_type: type, stamp_s: float, frame: str) -> Any:
     if hasattr(message, "header"):
         message.header.stamp, message.header.frame_id = to_stamp(stamp_s), frame
     return message
-
-
-@cache
-def message_class(name: str) -> type:
-    """The class of a message type such as ``sensor_msgs/msg/JointState``."""
-    module, _, of_type = name.rpartition("/")
-    return getattr(import_module(module.replace("/", ".")), of_type)
 
 
 def to_point(stamp_s: float, frame: str, position_m: np.ndarray) -> Any:

@@ -32,9 +32,9 @@ from fvs_ros import topics
 from fvs_ros.clock import LoopClock
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.ros.inputs import IMAGES, MOST_ITEMS, ArrivalMonitor, check_request, unpacked
-from fvs_ros.ros.messages import OK, WARN, MessageError, message_class, plain, to_stamp, to_status
+from fvs_ros.ros.messages import OK, WARN, MessageError, plain, to_stamp, to_status
 from fvs_ros.ros.qos import PROFILES, QOS_LATCHED
-from fvs_ros.topics import Topic
+from fvs_ros.topics import Topic, message_class
 
 #: Of every node's ``~/status``, s.
 STATUS_PERIOD_S = 0.1
