@@ -1,9 +1,8 @@
-"""The interface of Jacobian estimators, the motion step they learn from, and the oracle."""
+"""The interface of Jacobian estimators, and the motion step they learn from."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -126,32 +125,3 @@ class Estimator(ABC):
         if not self.learns:
             return {}
         return {"updates": float(self.updates), "refused": float(self.refused)}
-
-
-class OracleEstimator(Estimator):
-    """The true Jacobian of the simulator: the reference for all estimates.
-
-    ``true_jacobian`` takes joints, rad, (n,), to the true Jacobian, m/rad, (d, n); None while it is
-    not known.
-    """
-
-    learns = False
-
-    def __init__(
-        self,
-        true_jacobian: Callable[[np.ndarray], np.ndarray] | None = None,
-        _config: object = None,
-        kind: Kind | None = None,
-    ) -> None:
-        super().__init__(kind)
-        self.true_jacobian = true_jacobian
-
-    @property
-    def problem(self) -> str:
-        """Why there is no estimate; empty if there is one."""
-        return "" if self.true_jacobian else "no true Jacobian yet; only a simulator publishes it"
-
-    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
-        """The true Jacobian, m/rad, shape (d, n)."""
-        assert self.true_jacobian is not None
-        return np.array(self.true_jacobian(joints_rad), dtype=float)

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, Float64MultiArray
+from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
-from fvs_estimator_node.base import OracleEstimator
 from fvs_estimator_node.files import TrainedModel, load_model
 from fvs_estimator_node.loop import FRESH_S, EstimationLoop
 from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator
@@ -41,7 +40,6 @@ class EstimatorNode(ros.FvsNode):
         v = self.values
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._kind = EstimatorConfig.from_values(v).kind
-        self._hears_truth = False
         self._frozen = False
         self._program_running, self._speed_scaling = True, 100.0
         self._joints_s = -np.inf
@@ -68,9 +66,6 @@ class EstimatorNode(ros.FvsNode):
         load = partial(self._load_model, config, v["joint_names"])
         self._loop = EstimationLoop(create_estimator(config.method, v, load, self._kind))
         self._config = config
-        if isinstance(self._loop.estimator, OracleEstimator) and not self._hears_truth:
-            self._hears_truth = True
-            self.subscribe(topics.TRUE_JACOBIAN, self._on_truth)
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Switch the method, but not while the controller servoes."""
@@ -133,16 +128,6 @@ class EstimatorNode(ros.FvsNode):
         if stamp_s is not None:
             self._loop.add_sliding_variable(stamp_s, sliding)
 
-    def _on_truth(self, message: Float64MultiArray) -> None:
-        estimator, count = self._loop.estimator, len(self._joint_map.names)
-        if not isinstance(estimator, OracleEstimator):
-            return  # no longer
-        try:
-            truth = ros.from_jacobian(message, count, self._kind)
-            estimator.true_jacobian = lambda joints_rad: truth
-        except ros.MessageError as error:
-            self._complain(f"{topics.TRUE_JACOBIAN.name}: {error}")
-
     def _on_speed_scaling(self, message: Float64) -> None:
         self._speed_scaling = message.data
 
@@ -161,20 +146,11 @@ class EstimatorNode(ros.FvsNode):
 
     # --- output ---
 
-    def _no_estimate(self) -> str:
-        """Why there is no estimate, in words; empty if there is one."""
-        if not isinstance(self._loop.estimator, OracleEstimator):
-            return self._loop.problem
-        if self.monitor(topics.TRUE_JACOBIAN.name).age_s(self.now_s()) > FRESH_S:
-            self._loop.estimator.true_jacobian = None
-        problem = self._loop.problem
-        return problem and f"waiting for {topics.TRUE_JACOBIAN.name}: {problem}"
-
     def _publish_estimate(self, stamp_s: float, joints: np.ndarray) -> None:
         last = self._published_stamp_s
         if last is not None and 0.0 <= stamp_s - last < _JACOBIAN_GAP_S:
             return
-        if self._no_estimate():
+        if self._loop.problem:
             return
         jacobian = self._loop.jacobian(joints)
         if not all_finite(jacobian):
@@ -210,7 +186,7 @@ class EstimatorNode(ros.FvsNode):
         now_s = self.now_s()
         if now_s - self._problem_s < 1.0:
             return ros.ERROR, ESTIMATOR_FAULT, self._problem
-        waiting = self._no_estimate() or self._late_input(now_s)
+        waiting = self._loop.problem or self._late_input(now_s)
         if waiting:
             return ros.WARN, ESTIMATOR_WAITING, waiting
         if self._frozen:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from fvs_estimator_node.base import CHAIN, Estimator, OracleEstimator
+from fvs_estimator_node.base import CHAIN, Estimator
 from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
 from fvs_estimator_node.files import TrainedModel
 from fvs_estimator_node.online import LkfEstimator, RlsEstimator, UkfEstimator
@@ -23,7 +23,6 @@ ESTIMATORS: dict[str, type[Any]] = {
     "lkf": LkfEstimator,
     "ukf": UkfEstimator,
     "rls": RlsEstimator,
-    "oracle": OracleEstimator,
 }
 
 

@@ -285,13 +285,6 @@ TF_STATIC = Topic(
     offers=Qos.LATCHED,
     asks=(Qos.LATCHED,),
 )
-TRUE_JACOBIAN = Topic(
-    f"{SIM}/true_jacobian",
-    "std_msgs/msg/Float64MultiArray",
-    "The true `jacobian`, at every joint state.",
-    (SIM,),
-    (ESTIMATOR,),
-)
 TRUE_CAMERA_POSE = Topic(
     f"{SIM}/true_camera_pose",
     "geometry_msgs/msg/PoseStamped",

@@ -62,7 +62,6 @@ class SimNode(ros.FvsNode):
         self._kind = self._sim.kind
         self._feature = self.publisher(self._kind.topics.tool)
         self._truth = self.publisher(self._kind.topics.truth)
-        self._true_jacobian = self.publisher(topics.TRUE_JACOBIAN)
         self._camera_pose = self.publisher(topics.TRUE_CAMERA_POSE)
         self._transforms = self.publisher(topics.TF_STATIC) if find_spec("tf2_msgs") else None
         self._color = self.create_publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)
@@ -153,9 +152,6 @@ class SimNode(ros.FvsNode):
         if self._truth.get_subscription_count():
             true = self._sim.true_feature()
             self._truth.publish(ros.to_feature(stamp_s, self._frame, self._kind, true))
-        if self._true_jacobian.get_subscription_count():
-            jacobian = self._sim.true_jacobian(step.joints_rad)
-            self._true_jacobian.publish(ros.to_jacobian(jacobian, self._kind))
         self._publish_joints(stamp_s, step)
         self._stepped_s = self.steady_s()
         self._publish_drawn_frame()  # after the joint states, which other nodes wait for

@@ -16,7 +16,7 @@ from fvs_controller_node.config import default_values
 from fvs_controller_node.inbox import JACOBIAN
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.supervisor import Command
-from fvs_estimator_node.base import Estimator, OracleEstimator
+from fvs_estimator_node.base import Estimator
 from fvs_estimator_node.files import TrainedModel, load_model
 from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.registry import create_estimator
@@ -45,15 +45,29 @@ def make_estimator(
     """Build an estimator by its name in the registry, as its node does.
 
     ``values`` are the node's parameters where they differ from the defaults, ``model`` is a file or
-    a name in the project's ``config`` folder; empty: that of the package. The oracle asks the
-    simulation itself. The kind is the controller's; by default with the usual parameters.
+    a name in the project's ``config`` folder; empty: that of the package. The method
+    ``oracle``, of no node, is the simulation's true Jacobian. The kind is the controller's; by
+    default with the usual parameters.
     """
     kind = kind or simulation.kind
     if method == "oracle":
-        truth = partial(simulation.true_jacobian, kind=kind)
-        return OracleEstimator(truth, kind=kind)
+        return _Oracle(simulation, kind)
     load = partial(_load, model or kind.model, simulation.world.joint_names, kind.name)
     return create_estimator(method, values, load, kind)
+
+
+class _Oracle(Estimator):
+    """The true Jacobian of a simulation: the reference for all estimates."""
+
+    learns = False
+
+    def __init__(self, simulation: Simulation, kind: Kind) -> None:
+        super().__init__(kind)
+        self._simulation = simulation
+
+    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
+        """The true Jacobian, m/rad, shape (d, n)."""
+        return self._simulation.true_jacobian(joints_rad, self.kind)
 
 
 class ClosedLoop:

@@ -36,7 +36,6 @@ ALONE = {
 OTHERS = {
     "command_interface": "position",
     "compressed_images": True,
-    "method": "oracle",
 }
 #: What rclpy gives every node.
 BUILT_IN = {"use_sim_time", "start_type_description_service"}
