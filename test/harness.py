@@ -63,22 +63,17 @@ def _clear_shared_memory() -> None:
     It makes every later discovery take seconds. Only what is ours, younger than these tests, and
     mapped by no process goes.
     """
-    left = []
-    for path in Path("/dev/shm").glob("*fastrtps_*"):
-        with contextlib.suppress(OSError):
-            status = path.stat()
-            if status.st_uid == os.getuid() and status.st_mtime > _BEGAN_S:
-                left.append(path)
-    if not left:
-        return
-    used = ""
+    paths, used = list(Path("/dev/shm").glob("*fastrtps_*")), ""
     for maps in Path("/proc").glob("[0-9]*/maps"):
         with contextlib.suppress(OSError):
             used += maps.read_text()
-    for path in left:
+    for path in paths:
         name = path.name.removeprefix("sem.").removesuffix("_mutex").removesuffix("_el")
-        if f"/dev/shm/{name}" not in used:
-            path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            status = path.stat()
+            ours = status.st_uid == os.getuid() and status.st_mtime > _BEGAN_S
+            if ours and f"/dev/shm/{name}" not in used:
+                path.unlink()
 
 
 def ros_arguments(remaps: Mapping[str, str] | None = None, **parameters: Any) -> list[str]:

@@ -15,13 +15,6 @@ from fvs_ros.joints import UR_JOINT_NAMES
 _RATE_HZ = 30.0
 
 
-def random_rotation(rng: np.random.Generator) -> np.ndarray:
-    """A rotation matrix, any as likely as any other, shape (3, 3)."""
-    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
-    q = q * np.sign(np.diag(r))
-    return q if np.linalg.det(q) > 0.0 else -q
-
-
 def rotation_about(axis, angle_rad: float) -> np.ndarray:
     """Rotation matrix, shape (3, 3)."""
     return Rotation.from_rotvec(angle_rad * np.array(axis) / np.linalg.norm(axis)).as_matrix()
@@ -44,7 +37,7 @@ def ur5_chain(
 
 def seen_from_anywhere(rng: np.random.Generator) -> SerialChain:
     """The UR5's chain from a camera that is turned anyhow, the ball 1.4 m before it."""
-    rotation = random_rotation(rng)
+    rotation = Rotation.random(random_state=rng).as_matrix()
     ball = ur5_dh.axes_origins_ball(ur5_dh.HOME_RAD)[2]
     before = np.array([0.0, 0.0, 1.4]) + 0.2 * rng.normal(size=3)
     return ur5_chain(rotation=rotation, origin_m=ball - rotation.T @ before)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from cases import each
-from recordings import random_rotation
+from scipy.spatial.transform import Rotation
 
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 
@@ -34,7 +34,7 @@ def test_the_jacobian_is_the_derivative_of_the_position(count, features):
 
 def test_a_moved_camera_sees_the_same_arm_elsewhere():
     chain, rng = random_chain(features=6), np.random.default_rng(2)
-    rotation, translation = random_rotation(rng), rng.normal(size=3)
+    rotation, translation = Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3)
     joints = rng.normal(size=(10, 6))
     position, jacobian = chain.position_and_jacobian(joints)
     moved = chain.moved(rotation, translation)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import ur5_dh
 from cases import each
-from recordings import Recording, random_rotation, relative_error, ur5_chain
+from recordings import Recording, relative_error, ur5_chain
+from scipy.spatial.transform import Rotation
 
 from fvs_estimator_node import chain_chart
 from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
@@ -176,7 +177,9 @@ def pose_recording(recording, noise_m=3e-4, noise_rad=1e-3):
     chain = recording.chain()
     axis, point = chain.axes[5], chain.points_m[5]
     place_m = point + axis * (axis @ (chain.feature_m - point))
-    chain = replace(chain, feature_m=pose.of_body(place_m, random_rotation(rng)))
+    chain = replace(
+        chain, feature_m=pose.of_body(place_m, Rotation.random(random_state=rng).as_matrix())
+    )
     stamps = np.arange(round(30.0 * recording.seconds)) / 30.0 + 1.0
     noise = rng.normal(size=(len(stamps), 6)) * ([noise_m] * 3 + [0.3 * noise_rad] * 3)
     exact = chain.position(recording.joints(stamps - recording.late_s))

@@ -1,9 +1,7 @@
 """The page as it is served, without ROS: who is let in, and what stands where."""
 
-import re
 import types
 import urllib.request
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,8 +18,6 @@ from fvs_dashboard.page import Page
 from fvs_dashboard.scene import Arm
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.robot import ROBOTS, robot_description
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def served(port=0):
@@ -67,15 +63,6 @@ def test_no_other_page_may_hold_this_one_in_a_frame(page):
 def test_a_request_for_a_public_tunnel_is_refused(page, monkeypatch):
     monkeypatch.setattr("viser._viser.ViserTunnel", lambda *_: pytest.fail("a tunnel"))
     assert page._server.request_share_url() is None
-
-
-def test_the_versions_of_viser_are_the_same_everywhere():
-    bounds = config.VISER.removeprefix("viser[urdf]")
-    for name in ("README.md", "package.xml", "setup.py"):
-        versions = re.findall(r"viser\[urdf\]([^'\"]*)", (ROOT / name).read_text(encoding="utf-8"))
-        assert set(versions) == {bounds}, name
-    constraints = (ROOT / "constraints.txt").read_text(encoding="utf-8")
-    assert re.findall(r"^viser(.*)$", constraints, re.M) == [bounds]
 
 
 # --- the robot's model, as a driver publishes it ---

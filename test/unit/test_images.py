@@ -35,19 +35,6 @@ def depth_file(values, a=0.0, b=0.0):
     return struct.pack("<iff", 0, a, b) + file_of(values)
 
 
-@each("padding", [0, 5])
-@each("encoding", ["rgb8", "bgr8", "rgba8", "bgra8"])
-def test_colours_come_out_red_first(encoding, padding):
-    pixels = RGB[..., ::-1] if "bgr" in encoding else RGB
-    if "a8" in encoding:
-        pixels = np.dstack([pixels, np.full((2, 3), 9, np.uint8)])
-    data = b"".join(row.tobytes() + b"\xee" * padding for row in pixels)
-    # Some drivers leave out the padding of the last row.
-    for rows in (data, data[: len(data) - padding]):
-        decoded = from_color(image(rows, 3, 2, len(data) // 2, encoding))
-        np.testing.assert_array_equal(decoded, RGB)
-
-
 @each("order", ["<", ">"])
 def test_depth_comes_out_in_metres_and_what_is_none_is_zero(order):
     for encoding in ("16UC1", "mono16"):
@@ -82,6 +69,10 @@ COLOUR, (Y, U, V) = (200, 100, 50), (123, 91, 175)
 RED, GREEN, BLUE = COLOUR
 #: Rows of 4 pixels as a camera sends them, all of this colour or of a grey.
 SENT = {
+    "rgb8": [[RED, GREEN, BLUE] * 4] * 2,
+    "bgr8": [[BLUE, GREEN, RED] * 4] * 2,
+    "rgba8": [[RED, GREEN, BLUE, 9] * 4] * 2,
+    "bgra8": [[BLUE, GREEN, RED, 9] * 4] * 2,
     "mono8": [[90] * 4] * 2,
     "8UC1": [[90] * 4] * 2,
     "8UC3": [[BLUE, GREEN, RED] * 4] * 2,
@@ -104,8 +95,10 @@ def test_what_cameras_send_comes_out_red_first(encoding):
     rows = np.array(SENT[encoding], np.uint8)
     expected = COLOUR if encoding not in ("mono8", "8UC1") else (90, 90, 90)
     height = 2 if "nv" in encoding else len(rows)
-    for sent in (rows, np.pad(rows, ((0, 0), (0, 3)))):
-        decoded = from_color(image(sent.tobytes(), 4, height, sent.shape[1], encoding))
+    for padding, cut in ((0, 0), (3, 0), (3, 3)):  # some drivers do not pad the last row
+        sent = np.pad(rows, ((0, 0), (0, padding)))
+        data = sent.tobytes()[: sent.size - cut]
+        decoded = from_color(image(data, 4, height, sent.shape[1], encoding))
         assert decoded.shape == (height, 4, 3)
         assert np.abs(decoded.astype(int) - expected).max() <= 3
 

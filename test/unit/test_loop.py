@@ -1,97 +1,66 @@
-"""Targets, chains and postures in the controller's loop, fed at 125 Hz."""
+"""Targets and chains in the controller's loop, fed at 125 Hz."""
 
 import numpy as np
 import pytest
 from cases import each
 
+from bench.fuzz_world import FRESH_TICKS, HOME_BALL_M, World
 from fvs_controller_node.config import LAWS, default_values
 from fvs_controller_node.loop import ServoLoop
+from fvs_ros import ros
+from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds.ball import Ball
 
-HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 DT_S = 0.008
-FRAME = "camera_color_optical_frame"
-TARGET = np.array([0.2, 0.1, 1.2])
-_DRAWN = np.random.default_rng(2)
-CHAIN = SerialChain(_DRAWN.normal(size=(6, 3)), _DRAWN.normal(size=(6, 3)), np.ones(3), HOME)
-
-
-class Cell:
-    """A loop in motion, and what its law was given."""
-
-    def __init__(self, jacobian=np.eye(3, 6) * 0.5, **values):  # noqa: B008
-        self.loop = ServoLoop(default_values(**values))
-        self.now_s, self.joints, self.jacobian = 10.0, HOME.copy(), jacobian
-        self.states, command = [], self.loop.law.command
-        self.loop.law.command = lambda state: (self.states.append(state), command(state))[1]
-        self.loop.supervisor.inputs.add_speed_scaling(self.now_s, 0.1)  # the arm hardly moves
-        self.tick(20)
-        assert self.target(TARGET, 0.0)
-        self.start()
-        assert self.tick(20).velocity_rad_s.any()
-
-    def tick(self, count=1):
-        for _ in range(count):
-            self.now_s += DT_S
-            self.loop.add_jacobian(self.now_s, self.jacobian)
-            self.loop.add_joints(self.now_s, self.now_s, self.joints)
-            self.loop.add_image(self.now_s, self.now_s - 0.02, np.array([0.0, 0.0, 1.0]))
-            command = self.loop.tick(self.now_s, DT_S)
-        return command
-
-    def start(self):
-        assert self.loop.supervisor.start(self.now_s)[0]
-
-    def target(self, position_m, age_s=0.0, frame=FRAME):
-        return self.loop.add_target(position_m, frame, self.now_s - age_s)[0]
-
-    @property
-    def target_m(self):
-        return self.loop.supervisor.goal.target
+TARGET = HOME_BALL_M + [0.2, 0.1, 0.0]
 
 
 @pytest.fixture
 def servoing():
-    return Cell()
+    world = World()
+    world.run(FRESH_TICKS)
+    world.send_target(TARGET)
+    world.start()
+    world.run(20)
+    assert world.session
+    return world
 
 
-def test_a_chain_gives_the_jacobian_until_it_comes_no_more():
-    cell = Cell(law="minimum_time")
-    cell.loop.add_chain(cell.now_s, CHAIN)
-    cell.tick()
-    assert cell.states[-1].chain is CHAIN
-    np.testing.assert_array_equal(cell.states[-1].jacobian, CHAIN.jacobian(HOME))
-    cell.tick(round(0.25 / DT_S))
-    assert cell.states[-1].chain is None
-    np.testing.assert_array_equal(cell.states[-1].jacobian, cell.jacobian)
+def test_a_chain_gives_the_jacobian_until_it_comes_no_more(servoing):
+    rng, loop = np.random.default_rng(2), servoing.node._loop
+    chain = SerialChain(*rng.normal(size=(2, 6, 3)), np.ones(3), servoing.home_rad)
+    loop.add_chain(servoing.now_s, chain)
+    servoing.run(1)
+    np.testing.assert_allclose(loop.jacobian, chain.jacobian(servoing.joints), rtol=1e-3)
+    servoing.run(round(0.25 / DT_S))
+    np.testing.assert_array_equal(loop.jacobian, servoing.true)
 
 
 def test_a_moving_target_is_extrapolated_until_it_is_set_to_the_current_position(servoing):
     for k in range(12):
-        servoing.tick()
-        assert servoing.target(TARGET + [0.002 * k, 0.0, 0.0])
-    servoing.tick()
+        servoing.run(1)
+        servoing.send_target(TARGET + [0.002 * k, 0.0, 0.0])
+    servoing.run(1)
     # 2 mm every 8 ms is a quarter of a metre a second: by now it has gone on
     np.testing.assert_allclose(servoing.target_m, TARGET + [0.024, 0.0, 0.0], atol=1e-6)
-    assert not servoing.target(np.array([0.0, 0.0, 9.0]))
-    velocity = servoing.loop.supervisor.goal.velocity_m_s
+    servoing.send_target([0.0, 0.0, 9.0])
+    velocity = servoing.node._loop.supervisor.goal.velocity_m_s
     np.testing.assert_allclose(velocity, [0.25, 0.0, 0.0], atol=1e-6)
-    assert servoing.loop.set_current_as_target(servoing.now_s)[0]
+    assert servoing.node.call("~/set_current_as_target")[0]
     here = servoing.target_m
-    servoing.tick(40)
+    servoing.run(40)
     np.testing.assert_array_equal(servoing.target_m, here)
 
 
 @pytest.mark.parametrize("moves", [False, True])
 def test_an_overtaken_target_is_passed_over_whether_the_newer_one_stands_or_moves(servoing, moves):
     newer = np.array([0.1, 0.0, 1.1])
-    if moves:
-        assert servoing.target(newer - [0.01, 0.0, 0.0], 0.05)
-    assert servoing.target(newer)
-    assert servoing.target(newer - [0.03, 0.0, 0.0], 0.1)
-    assert not servoing.target(newer - [0.03, 0.0, 0.0], 0.1, "another_frame")
-    servoing.tick(50)
+    at_x_m = {0.05: -0.01, 0.0: 0.0, 0.1: -0.03} if moves else {0.0: 0.0, 0.1: -0.03}
+    for age_s, x_m in at_x_m.items():
+        message = ros.to_point(servoing.ros_s - age_s, CAMERA_FRAME, newer + [x_m, 0.0, 0.0])
+        servoing.node._on_target(message)
+    servoing.run(50)
     np.testing.assert_allclose(servoing.target_m, newer, atol=1e-9)
 
 
@@ -124,6 +93,6 @@ def test_every_law_drives_any_number_of_features_with_any_number_of_joints(
         loop.add_jacobian(now_s, jacobian)
         loop.add_joints(now_s, now_s, moved)
         if tick == 40:
-            loop.add_target(target, FRAME, now_s)
+            loop.add_target(target, CAMERA_FRAME, now_s)
         moved = moved + DT_S * loop.tick(now_s, DT_S).velocity_rad_s
     np.testing.assert_allclose(jacobian @ moved, target, atol=0.005)

@@ -12,7 +12,6 @@ from fvs_detector_node.tag_detector import TagDetector
 from fvs_detector_node.tag_pose import PoseFinder
 from fvs_detector_node.tags import Tag
 from fvs_ros.camera import CameraModel
-from fvs_ros.params import ParameterError
 from fvs_tools import tag as program
 
 TAG = Tag(tag_size_m=SIZE_M)
@@ -127,13 +126,6 @@ def test_a_lens_that_nobody_declared_is_noticed_before_poses_are_off():
     assert refused > 20
     assert len(published) > 5
     assert np.max(published) < np.radians(5.0)
-
-
-def test_a_number_that_the_family_lacks_is_refused():
-    with pytest.raises(ValueError, match="tag_id 50 is not in 4X4_50, which has 50 tags"):
-        TagReader(Tag(tag_dictionary="4X4_50", tag_id=50))
-    with pytest.raises(ParameterError, match="did you mean APRILTAG_36h11"):
-        Tag(tag_dictionary="APRILTAG_36h12")
 
 
 # --- the pose ---
