@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -15,17 +15,7 @@ from fvs_estimator_node.camera import PoeEstimator
 from fvs_lab import contestants as who
 from fvs_lab import experiment as lab
 from fvs_lab.results import Results
-from fvs_lab.trials import (
-    Bump,
-    Case,
-    Conditions,
-    Trial,
-    along,
-    crossed,
-    make_cases,
-    sees_all,
-    simulation_of,
-)
+from fvs_lab.trials import Case, Conditions, Trial, along, crossed, make_cases, simulation_of
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import rotation_from_vector
 from fvs_sim_node.simulation import Simulation
@@ -87,19 +77,6 @@ def at_rest(count: int) -> Iterator[Trial]:
         yield from crossed([trial], cases)
 
 
-def moved(cases: Sequence[Case]) -> Iterator[Trial]:
-    """Of ``best``, whose camera is turned by 20 degrees and moved by 10 cm before the target."""
-    for case in cases:
-        rng = np.random.default_rng(case.seed)
-        while True:  # a camera that no longer sees the tag is another matter
-            axis, direction = rng.normal(size=(2, 3))
-            bump = Bump(-0.4, along(axis, 20.0), along(direction, 0.1))
-            if sees_all(EXACT, (case.start_rad, case.goal_rad), bump):
-                break
-        best = who.variant("best", EXACT, part="moved").changed(bump=bump)
-        yield from crossed([best], [case])
-
-
 def measure(context: lab.Context) -> Results:
     """Run every scheme with an exact camera, some with images, and calibrated cameras."""
     cases = make_cases("P", context.count(60), 420, conditions=Conditions(feature=Pose.name))
@@ -123,16 +100,12 @@ def measure(context: lab.Context) -> Results:
     runs = context.run(crossed(labelled, cases), "poses").adding(
         lambda row: {**rest(row), "over_5mm": row["to_5mm_s"] / floors[row["case"]]}
     )
-    alone = runs.where(scheme="best", camera="exact").groups("case")
-    shaken = context.run(moved(cases), "moved cameras").adding(
-        lambda row: {"over_undisturbed": row["to_5mm_s"] / alone[row["case"]].rows[0]["to_5mm_s"]}
-    )
     bodies = () if context.quick else at_rest(max(1, len(cases) // 3))
-    return Results([*runs, *shaken, *context.run(bodies, "rest").adding(rest)])
+    return Results([*runs, *context.run(bodies, "rest").adding(rest)])
 
 
 def claims(runs: Results) -> Iterator[lab.Claim]:
-    """The chain's speed over the floor, its rest, and what a moved camera costs."""
+    """The chain's speed over the floor, and its rest."""
     schemes = runs.where(part="schemes")
     best = schemes.where(scheme="best")
     for camera, group in best.groups("camera").items():
@@ -146,8 +119,6 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
         if group:
             position = lab.below("final position", group.median("rest_m"), rest_m, 1e3, " mm")
             yield lab.ours(name, position, lab.below("angle", group.median("rest_deg"), 0.1))
-    slower = runs.where(part="moved").values("over_undisturbed")
-    yield lab.ours("moved", lab.kept("runs", [ratio <= 1.3 for ratio in slower], 0.95))
     parts = [
         lab.kept(f"targets reached by {name}", group.values("settled"), 0.98)
         for name, group in schemes.where(camera="exact").groups("scheme").items()
