@@ -20,8 +20,7 @@ from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
-from fvs_tools.calibrating import PARAMETERS, CalibrateConfig
-from fvs_tools.calibration import calibrate, report, verdict, write
+from fvs_tools.calibration import PARAMETERS, CalibrateConfig, calibrate, report, verdict, write
 from fvs_tools.hand_eye import Estimate
 
 _POLL_S = 0.5

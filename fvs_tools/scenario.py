@@ -60,7 +60,7 @@ NODE_TABLE: dict[str, NodeEntry] = {
         commands_arm=True,
         task=True,
     ),
-    topics.CALIBRATE: NodeEntry("fvs_tools.calibrate_node", "fvs_tools.calibrating", task=True),
+    topics.CALIBRATE: NodeEntry("fvs_tools.calibrate_node", "fvs_tools.calibration", task=True),
     topics.DEMO: NodeEntry("fvs_tools.demo_node", "fvs_tools.demo", task=True),
     topics.DASHBOARD: NodeEntry(
         "fvs_dashboard.dashboard_node", "fvs_dashboard.config", observer=True
