@@ -9,11 +9,8 @@ to the shortest script that breaks it, and prints that.
 
 from __future__ import annotations
 
-import functools
 import math
-import multiprocessing
 import os
-import signal
 import sys
 import time
 import traceback
@@ -31,6 +28,7 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
+from joblib import Parallel, delayed
 from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 from tqdm import tqdm
 
@@ -464,11 +462,6 @@ def play(seed, ticks=CHUNK_TICKS, settings=SETTINGS):
     return counts, ""
 
 
-def _heed_signals():
-    """Let a pool end its processes: the nodes' modules, once imported, only note signals."""
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-
-
 def main():
     """Play on all cores, and print what was reached."""
     chunks = -(-int(os.environ.get("FVS_BENCH_CYCLES", "1000000")) // CHUNK_TICKS)
@@ -476,13 +469,13 @@ def main():
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     counts = Counter()
     begin_s = time.perf_counter()
-    campaign = functools.partial(play, settings=_SHRINKS)
-    with multiprocessing.get_context("spawn").Pool(initializer=_heed_signals) as pool:
-        seeds = range(1000 * first, 1000 * (first + chunks), 1000)
-        for played, broken in tqdm(pool.imap_unordered(campaign, seeds), "fuzz", chunks):
-            counts.update(played)
-            if broken:
-                raise RuntimeError(f"a promise was broken\n{broken}")
+    parallel = Parallel(n_jobs=-1, return_as="generator_unordered")
+    seeds = range(1000 * first, 1000 * (first + chunks), 1000)
+    campaign = parallel(delayed(play)(seed, settings=_SHRINKS) for seed in seeds)
+    for played, broken in tqdm(campaign, "fuzz", chunks):
+        counts.update(played)
+        if broken:
+            raise RuntimeError(f"a promise was broken\n{broken}")
     ticks = counts["ticks"]
     print(
         f"{ticks} ticks in {counts['episodes']} episodes, {time.perf_counter() - begin_s:.0f} s; "

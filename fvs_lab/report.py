@@ -9,8 +9,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 #: The experiments in the order of the page, and what they are about.
 EXPERIMENTS = {
     "servo": "Figures 8, 9 and 10: four schemes drive the ball to its target, tuned alike.",
@@ -55,11 +53,9 @@ def _template(name: str):
 
 
 def write_report(report: Mapping[str, Any], folder: Path) -> None:
-    """Write ``results.json`` into the experiment's folder.
-
-    Not finite numbers become null, others are rounded to seven digits.
-    """
-    text = json.dumps(_plain(report), separators=(",", ":"), allow_nan=False)
+    """Write ``results.json`` into the experiment's folder; numbers that are not finite as null."""
+    text = json.dumps(report, default=lambda array: array.tolist())
+    text = json.dumps(json.loads(text, parse_constant=lambda _: None), separators=(",", ":"))
     (folder / "results.json").write_text(text + "\n", encoding="utf-8")
 
 
@@ -70,16 +66,3 @@ def write_page(out: Path) -> Path:
     page = out / "index.md"
     page.write_text(_template("page.jinja").render(reports=reports), encoding="utf-8")
     return page
-
-
-def _plain(value: Any) -> Any:
-    """JSON's types: arrays as lists, numbers rounded, what is not finite as null."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, float):
-        return float(f"{value:.7g}") if np.isfinite(value) else None
-    return value
