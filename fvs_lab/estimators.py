@@ -23,7 +23,6 @@ from fvs_lab.results import Results, label_of
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, along, relative_errors, simulation_of
 from fvs_ros.kinds import Kind
 from fvs_tools.closed_loop import make_estimator
-from fvs_tools.score import criteria
 
 # ---- contestants and worlds -----------------------------------------------------------------
 
@@ -168,7 +167,8 @@ def score(recording: Recording, jacobian: np.ndarray, duration_s: float) -> dict
     scored = recording.time_s > 0.0
     moved_rad = np.array([step.d_joints_rad for step in recording.steps])[scored]
     predicted_m = np.einsum("nij,nj->ni", jacobian, moved_rad)
-    criteria_m = criteria(recording.true_d_ball_m[scored] - predicted_m)
+    wrong_m = recording.true_d_ball_m[scored] - predicted_m
+    criteria_m = np.linalg.norm([wrong_m, np.cumsum(wrong_m, axis=0)], axis=2)
     edges_s = np.linspace(0.0, duration_s, round(2.0 * duration_s) + 1)
     means = binned_statistic(recording.time_s[scored], criteria_m, bins=edges_s).statistic
     series = dict(zip(("t1_m", "t2_m"), means, strict=True))

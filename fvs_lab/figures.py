@@ -79,11 +79,6 @@ def shades(count: int) -> list[Any]:
     return list(pyplot().get_cmap("viridis")(np.linspace(0.0, 0.92, count)))
 
 
-def bound_line(axis: Axes, bound: float) -> None:
-    """Draw a thin dotted line at a bound."""
-    axis.axhline(bound, color="black", linewidth=0.8, linestyle=":")
-
-
 def plain_ticks(axis: Axes, ticks: Sequence[float]) -> None:
     """Logarithmic horizontal axis with these ticks as plain numbers."""
     axis.set_xscale("log")
@@ -127,7 +122,7 @@ def errors_over_time(
 ) -> None:
     """Draw the distance to the target, mm, on a logarithmic axis, with the bound of 5 mm."""
     over_time(axis, runs, lambda row: 1e3 * np.maximum(row["series"]["error_m"], 1e-6), by, looks)
-    bound_line(axis, 5.0)
+    axis.axhline(5.0, color="black", linewidth=0.8, linestyle=":")
     axis.set(yscale="log", ylim=(0.05, 600.0))
 
 

@@ -23,13 +23,7 @@ from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.closed_loop import ClosedLoop, make_estimator
 from fvs_tools.schemes import SCHEMES, Scheme
-from fvs_tools.score import (
-    FINAL_S,
-    FINE_ERROR_M,
-    SETTLED_ERROR_M,
-    jitter_rad_s,
-    settling_time_s,
-)
+from fvs_tools.score import FINAL_S, FINE_ERROR_M, SETTLED_ERROR_M, settling_time_s
 
 #: Ticks between comparisons of the Jacobian in use with the true one.
 JACOBIAN_EVERY = 5
@@ -381,7 +375,7 @@ def outcome(
     )
     last, moving = times_s > times_s[-1] - FINAL_S, times_s <= settled_s
     serving = commands[-1].state is State.SERVOING
-    limited = [bool(command.active_limit) for command in commands]
+    jitter = np.sqrt(np.mean(np.diff(speeds[last], axis=0) ** 2, axis=0))
     settled = bool(np.isfinite(settled_s))
     return {
         "settled": settled,
@@ -393,10 +387,8 @@ def outcome(
         "final_rms_m": float(np.sqrt(np.mean(errors_m[last] ** 2))),
         # Change of the command from tick to tick over the last second, rms, worst joint; infinite
         # for an arm that the supervisor held, since its rest is no merit of the law.
-        "jitter_rad_s": jitter_rad_s(speeds[last]) if serving else float("inf"),
+        "jitter_rad_s": float(jitter.max()) if serving else float("inf"),
         "peak_joint_speed_rad_s": float(np.abs(speeds).max()),
-        # Share of the time to 5 mm (or the whole run) in which a limit shaped the command.
-        "limited_share": float(np.mean(limited, where=moving)),
         "jacobian_error": float(np.mean(jacobian_errors[moving[::JACOBIAN_EVERY]])),
         "failure": "" if settled else _cause(times_s, errors_m, commands[-1]),
     }

@@ -71,16 +71,3 @@ def settling_time_s(times_s: np.ndarray, errors_m: np.ndarray, bound_m: float) -
     if above[-1] + 1 >= len(errors_m):
         return None
     return float(times_s[above[-1] + 1])
-
-
-def jitter_rad_s(commands_rad_s: np.ndarray) -> float:
-    """Rms of the worst joint's changes from tick to tick, rad/s, of velocities, (n, joints)."""
-    return float(np.sqrt(np.mean(np.diff(commands_rad_s, axis=0) ** 2, axis=0)).max())
-
-
-def criteria(wrong_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The paper's criteria T1 and T2, eqs (40) to (42), of errors dx - J dr, m, shape (n, 3).
-
-    Length of each error, and of the sum of all errors up to each step, m, each of shape (n,).
-    """
-    return np.linalg.norm(wrong_m, axis=1), np.linalg.norm(np.cumsum(wrong_m, axis=0), axis=1)
