@@ -117,11 +117,6 @@ class ClosedLoop:
         return cls(simulation, estimator, values)
 
     @property
-    def ball_m(self) -> np.ndarray:
-        """Where the ball or tag truly is, camera frame, m, shape (3,)."""
-        return self.simulation.true_pose().position_m
-
-    @property
     def true_feature(self) -> np.ndarray:
         """The feature as it truly is, camera frame, (m,)."""
         return self.simulation.true_feature()

@@ -111,7 +111,7 @@ def draw(path: Path, records: Sequence[TargetRecord], joint_names: Sequence[str]
         speed.plot(*zip(*moments, strict=True), linewidth=1, label=list(joint_names))
         speed.legend(fontsize=8, ncols=2)
     what = records[0].kind.what.capitalize()
-    error.set(ylabel="true error (mm)", title=f"{what} to its target, largest part")
+    error.set(ylabel="error (mm)", title=f"{what} to its target, largest part")
     speed.set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
     error.legend(fontsize=8, ncols=2)
     for axes in (error, speed):

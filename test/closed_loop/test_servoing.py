@@ -80,7 +80,7 @@ def follow(name, speed_m_s, noise_m, feed_forward):
     """Rms distance from a target on a circle, m, and of the command's step, rad/s, after 1.5 s."""
     rng, radius_m = np.random.default_rng(7), 0.08
     loop = loop_from(name, HOME_RAD, target_feed_forward=feed_forward)
-    start_m, commands, errors_m, next_s = loop.ball_m, [], [], 0.0
+    start_m, commands, errors_m, next_s = loop.true_feature, [], [], 0.0
     for tick in range(round(3.0 / loop.period_s)):
         angle = speed_m_s / radius_m * tick * loop.period_s
         true_m = start_m + radius_m * np.array([np.cos(angle) - 1.0, np.sin(angle), 0.0])
@@ -90,7 +90,7 @@ def follow(name, speed_m_s, noise_m, feed_forward):
         command = loop.tick()
         assert command.state is State.SERVOING
         commands.append(command.velocity_rad_s)
-        errors_m.append(np.linalg.norm(loop.ball_m - true_m))
+        errors_m.append(np.linalg.norm(loop.true_feature - true_m))
     late = round(1.5 / loop.period_s)
     steps = np.diff(commands[late:], axis=0)
     return np.sqrt(np.mean(np.square(errors_m[late:]))), np.sqrt(np.mean(steps**2))
