@@ -37,11 +37,6 @@ class DetectorConfig(CameraTopicsConfig):
         "ball, or pose of a tag from the colour image alone",
         choices=tuple(KINDS),
     )
-    compressed_images: bool = parameter(
-        False,
-        "subscribe to the topics that end in /compressed (jpeg or png) and /compressedDepth (png), "
-        "for a camera on another computer",
-    )
     ball_radius_m: float = live_parameter(
         0.04,
         "radius of the ball; measure it: a wrong radius gives a wrong distance",

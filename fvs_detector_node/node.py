@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from fvs_detector_node.config import PARAMETERS, DetectorConfig
@@ -78,9 +78,6 @@ class DetectorNode(ros.FvsNode):
             "depth": topics.DEPTH_IMAGE,
             "info": topics.CAMERA_INFO,
         }
-        if self._config.compressed_images:
-            declared["colour"] = topics.COLOR_IMAGE_COMPRESSED
-            declared["depth"] = topics.DEPTH_IMAGE_COMPRESSED
         return {name: topics.camera_names(each, prefix)[0] for name, each in declared.items()}
 
     def _find_camera(self) -> None:
@@ -98,13 +95,12 @@ class DetectorNode(ros.FvsNode):
     def _subscribe(self) -> None:
         """Subscribe with a QoS that matches the publishers; again when topics or QoS change."""
         names = self._topics
-        image = CompressedImage if self._config.compressed_images else Image
         wanted: dict[str, tuple[type, Callable[[Any], None], QoSProfile]] = {
             names["info"]: (CameraInfo, self._on_camera_info, ros.QOS_NEWEST)
         }
         for name in ("colour", "depth") if self._detector.needs_depth else ("colour",):
             on_image = partial(self._on_image, name)
-            wanted[names[name]] = image, on_image, self._image_qos(names[name])
+            wanted[names[name]] = Image, on_image, self._image_qos(names[name])
         for topic, (subscription, qos) in list(self._subscribed.items()):
             if topic not in wanted or wanted[topic][2] is not qos:
                 self.destroy_subscription(subscription)

@@ -238,22 +238,6 @@ DEPTH_IMAGE = Topic(
     also_from=_CAMERA,
     asks=(Qos.RELIABLE,),
 )
-COLOR_IMAGE_COMPRESSED = Topic(
-    f"{COLOR_IMAGE.name}/compressed",
-    "sensor_msgs/msg/CompressedImage",
-    "The colour image as jpeg or png, with `compressed_images`.",
-    subscribers=(DETECTOR,),
-    also_from=_CAMERA,
-    asks=(Qos.RELIABLE,),
-)
-DEPTH_IMAGE_COMPRESSED = Topic(
-    f"{DEPTH_IMAGE.name}/compressedDepth",
-    "sensor_msgs/msg/CompressedImage",
-    "The depth image as png, with `compressed_images`.",
-    subscribers=(DETECTOR,),
-    also_from=_CAMERA,
-    asks=(Qos.RELIABLE,),
-)
 CAMERA_INFO = Topic(
     "camera/color/camera_info",
     "sensor_msgs/msg/CameraInfo",

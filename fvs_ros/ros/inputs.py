@@ -12,7 +12,7 @@ import rclpy
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from fvs_ros.ros.messages import MOST_TEXT, MessageError
@@ -21,20 +21,19 @@ from fvs_ros.ros.qos import QOS_NEWEST
 #: Largest message or request of others, bytes; a robot's description (URDF) may be larger. Most
 #: items that a request names.
 _MOST_BYTES, _MOST_BYTES_OF, MOST_ITEMS = 2**14, {String: 2**20}, 250
-#: Images are as large as their pixels, which their decoding bounds; their texts are bounded here.
-IMAGES = (Image, CompressedImage)
 
 
 def unpacked(message_type: type, data: Any) -> Any:
     """The message in received bytes, or the image; a ``MessageError`` if it is none."""
-    if message_type in IMAGES:
+    # Images are as large as their pixels, which their decoding bounds.
+    if message_type is Image:
         size, most, what = len(data.header.frame_id), MOST_TEXT, "its frame_id"
     else:
         size, most, what = len(data), _MOST_BYTES_OF.get(message_type, _MOST_BYTES), "it"
     if size > most:
         raise MessageError(f"{what} has {size} bytes, expected at most {most}")
     try:
-        return data if message_type in IMAGES else deserialize_message(data, message_type)
+        return data if message_type is Image else deserialize_message(data, message_type)
     except RuntimeError as error:
         raise MessageError(str(error)) from error
 

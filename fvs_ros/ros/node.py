@@ -27,11 +27,12 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+from sensor_msgs.msg import Image
 
 from fvs_ros import topics
 from fvs_ros.clock import LoopClock
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
-from fvs_ros.ros.inputs import IMAGES, MOST_ITEMS, ArrivalMonitor, check_request, unpacked
+from fvs_ros.ros.inputs import MOST_ITEMS, ArrivalMonitor, check_request, unpacked
 from fvs_ros.ros.messages import OK, WARN, MessageError, plain, to_stamp, to_status
 from fvs_ros.ros.qos import PROFILES, QOS_LATCHED
 from fvs_ros.topics import Topic, message_class
@@ -215,7 +216,7 @@ class FvsNode(Node):
             callback if raw else on_data,
             qos_profile,
             # An image from raw bytes takes four times as long to deserialize.
-            raw=raw or msg_type not in IMAGES,
+            raw=raw or msg_type is not Image,
             **options,
         )
 

@@ -9,7 +9,7 @@ import pytest
 from drawn_balls import RADIUS_M, VGA, draw
 from geometry_msgs.msg import PointStamped, PoseStamped
 from harness import Statuses
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, Image
 
 from fvs_ros import ros, topics
 from fvs_ros.camera import Intrinsics
@@ -30,21 +30,18 @@ class PlayedCamera:
     Stamps advance by ``period_s``; those of depth are late by ``depth_late_s``.
     """
 
-    def __init__(self, harness, qos=ros.QOS_RELIABLE, compressed=False, prefix="camera"):
+    def __init__(self, harness, qos=ros.QOS_RELIABLE, prefix="camera"):
         self.rgb, self.depth_m = draw([(CENTRE, RADIUS_M)], QVGA)
         self.depth_frame, self.period_s, self.depth_late_s = FRAME, 1 / 30, 0.0
-        self.compressed, self.calibrated, self.view = compressed, True, QVGA
+        self.calibrated, self.view = True, QVGA
         node = harness.node
         self.stamp_s = node.get_clock().now().nanoseconds * 1e-9
-        kind = CompressedImage if compressed else Image
-        endings = ("/compressed", "/compressedDepth", "") if compressed else ("", "", "")
         self._color, self._depth, self._info = (
-            node.create_publisher(kind, topic.name.replace("camera", prefix, 1) + ending, qos)
-            for kind, topic, ending in zip(
-                (kind, kind, CameraInfo),
-                (topics.COLOR_IMAGE, topics.DEPTH_IMAGE, topics.CAMERA_INFO),
-                endings,
-                strict=True,
+            node.create_publisher(kind, topic.name.replace("camera", prefix, 1), qos)
+            for kind, topic in (
+                (Image, topics.COLOR_IMAGE),
+                (Image, topics.DEPTH_IMAGE),
+                (CameraInfo, topics.CAMERA_INFO),
             )
         )
         node.create_timer(1 / 15, self._show)
@@ -59,24 +56,12 @@ class PlayedCamera:
             self._depth.publish(self._depth_message())
 
     def _color_message(self):
-        if not self.compressed:
-            return ros.to_image(self.stamp_s, FRAME, self.rgb, "rgb8")
-        data = cv2.imencode(".jpg", self.rgb[..., ::-1])[1].tobytes()
-        return self._compressed(self.stamp_s, "rgb8; jpeg compressed bgr8", data)
+        return ros.to_image(self.stamp_s, FRAME, self.rgb, "rgb8")
 
     def _depth_message(self):
         stamp_s = self.stamp_s + self.depth_late_s
         pixels = np.round(1e3 * self.depth_m).astype(np.uint16)
-        if not self.compressed:
-            return ros.to_image(stamp_s, self.depth_frame, pixels, "16UC1")
-        data = bytes(12) + cv2.imencode(".png", pixels)[1].tobytes()
-        return self._compressed(stamp_s, "16UC1; compressedDepth png", data)
-
-    @staticmethod
-    def _compressed(stamp_s, words, data):
-        message = CompressedImage(format=words, data=data)
-        message.header.stamp, message.header.frame_id = ros.to_stamp(stamp_s), FRAME
-        return message
+        return ros.to_image(stamp_s, self.depth_frame, pixels, "16UC1")
 
 
 class Watched(Statuses):
@@ -148,11 +133,10 @@ def test_depth_that_is_not_registered_is_refused(watched):
     watched.wait_for("TRACKING")
 
 
-def test_another_cameras_names_compressed_and_lossy_images_and_late_stamps(ros_test):
+def test_another_cameras_names_lossy_images_and_late_stamps(ros_test):
     watched, delay_s = Watched(ros_test), 0.08
-    camera = PlayedCamera(ros_test, ros.QOS_NEWEST, compressed=True, prefix="/cell/eye")
-    another = {"camera_topics": "/cell/eye", "compressed_images": True}
-    ros_test.start_node(NODE, stamp_delay_s=delay_s, **another)
+    camera = PlayedCamera(ros_test, ros.QOS_NEWEST, prefix="/cell/eye")
+    ros_test.start_node(NODE, camera_topics="/cell/eye", stamp_delay_s=delay_s)
     last = watched.wait_for_balls()[-1]
     np.testing.assert_allclose(position(last), CENTRE, atol=0.004)
     assert last.header.frame_id == FRAME

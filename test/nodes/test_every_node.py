@@ -35,7 +35,6 @@ ALONE = {
 #: With these, a node has other topics.
 OTHERS = {
     "command_interface": "position",
-    "compressed_images": True,
 }
 #: What rclpy gives every node.
 BUILT_IN = {"use_sim_time", "start_type_description_service"}
@@ -45,7 +44,6 @@ AT_TIMES = {
     topics.CAMERA_INFO,
     topics.COMMANDS,
     topics.POSITION_COMMANDS,
-    topics.DEPTH_IMAGE_COMPRESSED,
     topics.TF_STATIC,
 }
 TOPICS = (*topics.COMMON, *(topic for kind in KINDS.values() for topic in kind.topics))

@@ -2,15 +2,14 @@
 
 import struct
 
-import cv2
 import numpy as np
 import pytest
 from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import Image
 
-from fvs_ros.ros import MessageError, images
+from fvs_ros.ros import MessageError
 from fvs_ros.ros.images import from_color, from_depth
 
 RGB = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
@@ -20,19 +19,6 @@ MILLIMETRES = np.array([[0, 1, 256], [1000, 4660, 65535]], dtype=np.uint16)
 def image(data, width, height, step, encoding, big_endian=False):
     size = {"width": width, "height": height, "step": step}
     return Image(data=data, encoding=encoding, is_bigendian=int(big_endian), **size)
-
-
-def compressed(data, image_format):
-    return CompressedImage(data=data, format=image_format)
-
-
-def file_of(pixels, extension=".png"):
-    return cv2.imencode(extension, pixels)[1].tobytes()
-
-
-def depth_file(values, a=0.0, b=0.0):
-    """compressedDepth as image_transport sends it: 12 bytes, then a png of 16 bits."""
-    return struct.pack("<iff", 0, a, b) + file_of(values)
 
 
 @each("order", ["<", ">"])
@@ -112,36 +98,6 @@ def test_16_bits_have_one_scale_in_all_images_and_too_few_are_refused():
         from_color(image(grey.tobytes(), 2, 1, 4, "mono16"))
 
 
-PICTURE = np.full((24, 32, 3), (200, 60, 10), np.uint8)
-PICTURE[:, 16:] = (20, 60, 210)
-#: Columns that a jpeg's coarse colours do not blur.
-PLAIN = np.r_[:12, 20:32]
-
-
-@each("extension", [".png", ".jpg"])
-@each(
-    ("image_format", "exchanged"),
-    [("rgb8; x compressed bgr8", False), ("jpeg", False), ("bgr8; x compressed", True)],
-)
-def test_compressed_colours(extension, image_format, exchanged):
-    # OpenCV writes blue first; old publishers exchange and leave out the target format.
-    file = file_of(PICTURE if exchanged else PICTURE[..., ::-1], extension)
-    decoded = from_color(compressed(file, image_format)).astype(int)
-    np.testing.assert_allclose(decoded[:, PLAIN], PICTURE[:, PLAIN], atol=12)
-
-
-def test_compressed_depth():
-    for image_format in ("16UC1; compressedDepth png", "16UC1; compressedDepth", "16UC1"):
-        depth = from_depth(compressed(depth_file(MILLIMETRES), image_format))
-        np.testing.assert_allclose(depth, 1e-3 * MILLIMETRES, rtol=1e-6)
-    # Metres as the publisher codes them: its depth_quantization is 100, its depth_max 10 m.
-    a = 100.0 * 101.0
-    b = 1.0 - a / 10.0
-    coded = np.array([[a / 0.5 + b, a / 9.0 + b, 0.0]]).astype(np.uint16)
-    depth = from_depth(compressed(depth_file(coded, a, b), "32FC1; compressedDepth png"))
-    np.testing.assert_allclose(depth, [[0.5, 9.0, 0.0]], rtol=2e-3)
-
-
 def decoded(message):
     """What both decoders make of a message, where they do not refuse it."""
     for decode in (from_color, from_depth):
@@ -164,21 +120,3 @@ def test_whatever_comes_is_an_image_of_its_size_or_an_error(data, fitting):
         assert pixels.shape[:2] == (height, width)
         assert np.isfinite(pixels).all()
         assert (pixels >= 0).all()
-
-
-@given(
-    st.sampled_from([file_of(PICTURE), file_of(PICTURE, ".jpg"), depth_file(MILLIMETRES)]),
-    st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), max_size=5),
-    st.integers(0, 500),
-    st.sampled_from(["png", "rgb8; jpeg compressed bgr8", "16UC1; compressedDepth png", "32FC1"]),
-)
-@settings(max_examples=60, deadline=None)
-def test_a_damaged_file_is_an_image_or_an_error(file, flips, length, image_format):
-    damaged = bytearray(file)
-    for at, value in flips:
-        damaged[at % len(damaged)] = value
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(images, "MAX_PIXELS", 10_000)  # the largest take seconds
-        for pixels in decoded(compressed(bytes(damaged[:length]), image_format)):
-            assert pixels.size <= 3 * 10_000
-            assert np.isfinite(pixels).all()
