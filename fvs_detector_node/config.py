@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from fvs_detector_node.tags import Tag
 from fvs_ros.camera import CameraTopicsConfig
-from fvs_ros.kinds import KINDS, KindConfig
+from fvs_ros.kinds import BODIES, KindConfig
 from fvs_ros.params import Parameters, live_parameter, parameter
 
 
@@ -35,7 +35,7 @@ class DetectorConfig(CameraTopicsConfig):
     feature: str = parameter(
         KindConfig.feature,
         "ball, or pose of a tag from the colour image alone",
-        choices=tuple(KINDS),
+        choices=BODIES,
     )
     ball_radius_m: float = live_parameter(
         0.04,

@@ -11,7 +11,5 @@ DETECTORS: dict[str, type[Detector]] = {"ball": BallDetector, "pose": TagDetecto
 
 
 def make_detector(config: DetectorConfig) -> Detector:
-    """The detector of the configured kind of feature; a ``ValueError`` if there is none."""
-    if config.feature not in DETECTORS:
-        raise ValueError(f"no detector finds {config.feature}; there are {', '.join(DETECTORS)}")
+    """The detector of the configured kind of feature."""
     return DETECTORS[config.feature](config)

@@ -154,8 +154,8 @@ JOINT_STATES = Topic(
 JACOBIAN = Topic(
     "jacobian",
     "std_msgs/msg/Float64MultiArray",
-    "Feature Jacobian at the newest joints, row-major, camera frame: 3 x n, m/rad, or 6 x n for a "
-    "tag (linear velocity of its origin, then angular velocity).",
+    "Feature Jacobian at the newest joints, row-major, camera frame: a row, per rad, for each "
+    "number of the feature's motion (of a tag: its origin's linear, then its angular velocity).",
     (ESTIMATOR,),
     (SIM, CONTROLLER),
 )

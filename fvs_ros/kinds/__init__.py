@@ -31,9 +31,7 @@ BODIES = tuple(name for name, kind in KINDS.items() if kind.rigid)
 class KindConfig(KindParameters):
     """What is servoed."""
 
-    feature: str = parameter(
-        "ball", "what is servoed: a ball, or the pose of a tag", choices=tuple(KINDS)
-    )
+    feature: str = parameter("ball", "kind of feature that is servoed", choices=tuple(KINDS))
 
     @property
     def kind(self) -> Kind:
@@ -46,6 +44,4 @@ class KindConfig(KindParameters):
 class BodyConfig(KindConfig):
     """What is servoed, where only a rigid body will do."""
 
-    feature: str = parameter(
-        KindConfig.feature, "what is servoed: a ball, or the pose of a tag", choices=BODIES
-    )
+    feature: str = parameter(KindConfig.feature, "kind of feature that is servoed", choices=BODIES)

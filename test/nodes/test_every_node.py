@@ -32,8 +32,10 @@ ALONE = {
         "publish_ball_position": False,
     },
 }
-#: With these, a node has other topics.
+#: With these, a node has other topics, and needs no model.
 OTHERS = {
+    "method": "lkf",
+    "online.initial": "zero",
     "command_interface": "position",
 }
 #: What rclpy gives every node.

@@ -39,7 +39,7 @@ def test_a_bag_of_any_arm_calibrates_its_camera(bag):
 @pytest.mark.parametrize(
     ("topics", "words"),
     [
-        ({"feature": "/nowhere"}, "0 topics of PointStamped or PoseStamped called /nowhere"),
+        ({"feature": "/nowhere"}, "0 topics of PointStamped or .* called /nowhere"),
         ({"joint_states": "/gripper"}, r"joint_states names \['finger'\], none of the wanted"),
     ],
 )
