@@ -60,6 +60,16 @@ class References:
         except ValueError as error:
             raise ValueError(f"{self.path}, {name}: {error}") from None
 
+    def entries(self) -> dict[str, Reference | str]:
+        """All references by name, or what is wrong with one; a ``ValueError`` if it is the file."""
+        entries: dict[str, Reference | str] = {}
+        for name, entry in self._read().items():
+            try:
+                entries[name] = self._parse(entry)
+            except ValueError as error:
+                entries[name] = str(error)
+        return entries
+
     def keep(self, name: str, reference: Reference) -> None:
         """Write a reference into the file, beside the others; its speed stays, if it has one.
 
@@ -68,7 +78,7 @@ class References:
         if not name or len(name) > _LONGEST_NAME or not name.isprintable():
             raise ValueError("the parameter reference must be a short name")
         content = self._read()
-        before = content.pop(name, None)
+        before = content.get(name)
         speed = before.get(_SPEED, reference.speed) if isinstance(before, dict) else reference.speed
         numbers = self._kind.columns_of(reference.z)
         content[name] = {

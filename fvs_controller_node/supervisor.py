@@ -309,6 +309,10 @@ class Supervisor:
             size = config.kind.box_size if name.endswith("_m") else config.kind.size
             for i, axis in enumerate(config.kind.axes[:size]):
                 values[name.format(axis)] = nan if vector is None else float(vector[i])
+        target, columns = self.goal.target, config.kind.columns
+        for i in range(config.kind.box_size, len(columns)):  # its orientation
+            number = nan if target is None else float(config.kind.columns_of(target)[i])
+            values[f"target_{columns[i]}"] = number
         return values
 
 

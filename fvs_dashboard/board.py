@@ -9,13 +9,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fvs_controller_node.references import Reference
 from fvs_ros import topics
 from fvs_ros.status import SILENT, SILENT_S, number, vector
 
 #: Length of the curves, s.
 HISTORY_S = 20.0
+#: The controller's parameter with the name of the reference.
+REFERENCE = f"{topics.CONTROLLER}/reference"
 #: Display time of the newest value by name, s.
-_SHOWN_S = {"feature": 0.5, "controller": SILENT_S, "detector": 2.0, "answer": 12.0}
+_SHOWN_S = {"feature": 0.5, "object": 0.5, "controller": SILENT_S, "detector": 2.0, "answer": 12.0}
 
 
 class Action(NamedTuple):
@@ -23,8 +26,8 @@ class Action(NamedTuple):
 
     A target is x, y, z, camera frame, m, and its quaternion, w first, where it was turned by hand.
 
-    The name is a service of the controller, ``target``, ``tour``, ``reset`` or ``bump``, or
-    ``node/parameter`` to set a parameter.
+    The name is a service of the controller, ``target``, ``tour``, ``reset`` or ``bump``, ``teach``
+    or ``go`` with the name of a reference, or ``node/parameter`` to set a parameter.
     """
 
     name: str
@@ -43,6 +46,8 @@ class Controller:
         #: Camera frame, m, shape (3,), or None.
         self.target_m = vector(values, "target_{}_m")
         self.position_m = vector(values, "position_{}_m")
+        #: The target's orientation, a quaternion, w first; NaN while it is unknown, or has none.
+        self.target_wxyz = np.array([self.number(f"target_q{axis}") for axis in "wxyz"])
 
     def number(self, key: str) -> float:
         """A key number; NaN while unknown."""
@@ -85,6 +90,9 @@ class Board:
         #: Parameters of the other nodes, by node; empty for one that does not run.
         self.parameters: dict[str, Mapping[str, Any]] = {}
         self.tour = False
+        #: Taught references by name, or what is wrong with one; and with the file, in words.
+        self.references: Mapping[str, Reference | str] = {}
+        self.references_problem = ""
 
     def note(self, name: str, now_s: float, value: Any) -> None:
         """Store the newest value of a name."""

@@ -12,7 +12,9 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from math import inf, nan
+from pathlib import Path
 from queue import SimpleQueue
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,8 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 
-from fvs_dashboard.board import Action, Board, Controller
+from fvs_controller_node.references import References
+from fvs_dashboard.board import REFERENCE, Action, Board, Controller
 from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
 from fvs_dashboard.picture import Picture
 from fvs_estimator_node.files import TrainedModel, load_model
@@ -36,12 +39,14 @@ from fvs_ros.ros.services import Services
 _CAMERA_ROTATION = f"{topics.SIM}/camera_rotation_deg"
 #: Parameters that the page shows.
 _ASKED = {
-    topics.CONTROLLER: ("law", "max_joint_velocity_rad_s"),
+    topics.CONTROLLER: ("law", "max_joint_velocity_rad_s", "reference", "references_path"),
     topics.ESTIMATOR: ("method",),
     topics.SIM: ("depth_noise", "latency_s"),
 }
 #: With these a person takes over from the tour.
-_TAKES_OVER = ("target", "stop", "reset", "set_current_as_target")
+_TAKES_OVER = ("target", "stop", "reset", "set_current_as_target", "go")
+#: Services that do what a button for references says, in this order.
+_VERBS = {"teach": ("teach",), "go": ("go_to_reference", "start")}
 
 
 class DashboardNode(ros.FvsNode):
@@ -58,6 +63,7 @@ class DashboardNode(ros.FvsNode):
         # Actions trigger a callback: polling at 30 Hz took 3 % of a core.
         self._wake = self.create_guard_condition(self._act)
         self._description = ""
+        self._references_read: tuple[Path, int | None] | None = None  # file, and when written
         self._calls = Services(self, self._answer)
         self._cameras: list[ros.Sampled] = []  # while a browser shows the page
         self._board.tour = self._config.tour
@@ -87,7 +93,11 @@ class DashboardNode(ros.FvsNode):
         self._joint_states = ros.Sampled(
             self, JointState, topics.JOINT_STATES.name, self._on_joint_states
         )
-        self.subscribe(self._kind.topics.tool, self._on_feature)
+        for topic, name in (
+            (self._kind.topics.tool, "feature"),
+            (self._kind.topics.object, "object"),
+        ):
+            self.subscribe(topic, partial(self._on_feature, topic, name))
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
         self.subscribe(topics.DETECTOR_STATUS, self._on_detector)
         self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
@@ -108,10 +118,9 @@ class DashboardNode(ros.FvsNode):
             velocity = np.full_like(joints, nan)
         self._board.add_joints(self.steady_s(), joints, velocity)
 
-    def _on_feature(self, message: Any) -> None:
-        kind, frame = self._kind, self._config.feature_frame
-        z = ros.from_feature(message, kind, frame, kind.topics.tool.name)
-        self._board.note("feature", self.steady_s(), z)
+    def _on_feature(self, topic: topics.Topic, name: str, message: Any) -> None:
+        z = ros.from_feature(message, self._kind, self._config.feature_frame, topic.name)
+        self._board.note(name, self.steady_s(), z)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         controller = Controller(ros.from_status(message), message.message)
@@ -202,6 +211,24 @@ class DashboardNode(ros.FvsNode):
         )
         for node, parameters in _ASKED.items():
             self._calls.ask(node, parameters, partial(self._board.parameters.__setitem__, node))
+        path = self._board.parameter(topics.CONTROLLER, "references_path")
+        if isinstance(path, str):
+            self._look_at_references(Path(path).expanduser())
+
+    def _look_at_references(self, path: Path) -> None:
+        """Read them if their file changed, in a thread: a long file must not delay a stop."""
+        board, written = self._board, path.stat().st_mtime_ns if path.exists() else None
+
+        def read() -> None:
+            try:
+                board.references = References(path, self._kind).entries()
+                board.references_problem = "" if written else f"nothing is taught in {path} yet"
+            except ValueError as error:
+                board.references, board.references_problem = {}, str(error)
+
+        if (path, written) != self._references_read:
+            self._references_read = path, written
+            Thread(target=read, daemon=True).start()
 
     # --- what is done ---
 
@@ -239,32 +266,31 @@ class DashboardNode(ros.FvsNode):
         elif self._board.controller(self.steady_s()).silent:
             # Otherwise it would be executed when the controller returns, unexpectedly.
             self._answer(f"not done: the controller is silent; is {topics.CONTROLLER} running?")
+        elif name in _VERBS:
+            services = (f"{topics.CONTROLLER}/{verb}" for verb in _VERBS[name])
+            self._calls.set(REFERENCE, action.value, *services)
         elif name == "target":
-            target = self._wanted(action.value)
-            if target is None:
-                self._answer(f"not done: no {self._kind.what} yet, so its rotation is unknown")
-            else:
-                self._send_target(target)
+            self._aim(action.value)
         else:
             self._calls.call(f"{topics.CONTROLLER}/{name}")
 
     def _send_target(self, target: np.ndarray) -> None:
         kind, frame = self._kind, self._config.feature_frame
-        self._board.note("target", self.steady_s(), target)
         self._target.publish(ros.to_feature(self.ros_s(), frame, kind, target))
 
-    def _wanted(self, numbers: Sequence[float]) -> np.ndarray | None:
-        """The target, (m,), of a user's: a position without rotation keeps that of the last one."""
-        position_m, wxyz = np.array(numbers[:3]), np.array(numbers[3:])
-        if len(wxyz):
-            rotation = Rotation.from_quat(np.roll(wxyz, -1)).as_matrix()
-            return self._kind.of_body(position_m, rotation)
-        now_s, last = self.steady_s(), position_m
-        for name in ("feature", "target"):
-            newest = self._board.newest(name, now_s)
-            last = last if newest is None else newest
-        target = np.append(position_m, last[3:])
-        return target if len(target) == self._kind.numbers else None
+    def _aim(self, numbers: Sequence[float]) -> None:
+        """Send a user's target: a position without rotation keeps that of the last one."""
+        kind, now_s = self._kind, self.steady_s()
+        position_m, z = np.array(numbers[:3]), self._board.newest("feature", now_s)
+        quaternion = np.roll(numbers[3:] or self._board.controller(now_s).target_wxyz, -1)
+        if np.isfinite(quaternion).all():
+            target = kind.of_body(position_m, Rotation.from_quat(quaternion).as_matrix())
+        else:
+            target = np.append(position_m, [] if z is None else z[3:])
+        if len(target) == kind.numbers:
+            self._send_target(target)
+        else:
+            self._answer(f"not done: no {kind.what} yet, so its rotation is unknown")
 
     def _answer(self, text: str) -> None:
         self._board.note("answer", self.steady_s(), text)

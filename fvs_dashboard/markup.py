@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from html import escape
-from math import isfinite, isnan
+from math import degrees, isfinite, isnan
 from pathlib import Path
 
+from fvs_controller_node.references import Reference
+from fvs_controller_node.relation import OBJECT_FRAME
 from fvs_dashboard.board import Board, Controller
+from fvs_ros.kinds import Kind
 from fvs_ros.status import SILENT
 
 #: Okabe and Ito's colour-blind-safe palette, light enough for a dark page.
@@ -26,9 +29,13 @@ _BUTTONS = {
     "stop": "Stop",
     "set_current_as_target": "Set current as target",
     "reset": "Reset",
+    "teach": "Teach",
+    "go_to_reference": "Go there",
 }
 #: Two elements after ``ROW`` are side by side; after ``TOP_ROW`` they also stay above scrolling.
 ROW, TOP_ROW = '<i class="fvs-row"></i>', '<i class="fvs-row fvs-top"></i>'
+#: The element after ``LIST`` has a fixed height, and scrolls.
+LIST = '<i class="fvs-list"></i>'
 #: Long text is clipped, so that no button moves; hovering shows all of it.
 STYLE = f"<style>{Path(__file__).with_name('style.css').read_text(encoding='utf-8')}</style>"
 
@@ -63,11 +70,14 @@ def banner_html(controller: Controller) -> str:
         sentence, hint = words.partition(" (")[2].removesuffix(")"), ""
         title = "On target" if controller.reason == "SETTLED" else title
     sentence, hint = escape(in_words(sentence)), escape(in_words(hint))
+    error, angle_rad = distance(controller.error_m), controller.number("angle_rad")
+    if isfinite(angle_rad):
+        error = f"{distance(controller.number('way_m'))}, {degrees(angle_rad):.2f}°"
     return (
         f'<div id="fvs-banner" data-state="{escape(controller.state)}" '
         f'title="{sentence}. {hint}"><div class="fvs-head">'
         f"<span>{escape(title)}</span>"
-        f'<span id="fvs-error" class="fvs-number">{distance(controller.error_m)}</span></div>'
+        f'<span id="fvs-error" class="fvs-number">{error}</span></div>'
         f'<div class="fvs-clip" style="-webkit-line-clamp:5"><span id="fvs-sentence">{sentence}'
         f'</span><div id="fvs-hint" style="opacity:0.85">{hint}</div></div></div>'
     )
@@ -82,16 +92,40 @@ def line_html(name: str, text: str) -> str:
     )
 
 
-def inputs_html(board: Board, tool: str, now_s: float) -> str:
+def reference_labels(references: Mapping[str, Reference | str]) -> dict[str, str]:
+    """Names of references by what stands on their buttons: name, frame and speed."""
+    labels = {}
+    for name, reference in references.items():
+        how = "cannot be used"
+        if isinstance(reference, Reference):
+            how = f"{_frame(reference)}, {100.0 * reference.speed:.0f} %"
+        labels[f"{name}: {how}"] = name
+    return labels
+
+
+def reference_text(reference: Reference | str, kind: Kind) -> str:
+    """A reference in words, or what is wrong with it."""
+    if isinstance(reference, str):
+        return reference
+    return f"in the {_frame(reference)}'s frame: {kind.text(reference.z)}"
+
+
+def _frame(reference: Reference) -> str:
+    return "object" if reference.frame == OBJECT_FRAME else "camera"
+
+
+def inputs_html(board: Board, tool: str, seen_object: str, now_s: float) -> str:
     """Ages of the controller's inputs and what else it says, two per row; sentences alone.
 
-    ``tool`` is the topic of the feature.
+    ``tool`` and ``seen_object`` are their topics.
     """
     controller = board.controller(now_s)
     details = {}
-    for name, label in {tool: "Seen", **_INPUTS}.items():
+    for name, label in {tool: "Seen", **_INPUTS, seen_object: "Object"}.items():
         age_s = controller.number(f"{name}_age_s")
         details[label] = "never" if not isfinite(age_s) else f"{1e3 * age_s:.0f} ms ago"
+    if details["Object"] == "never":  # most have none
+        del details["Object"]
     running = controller.values.get("robot_program_running")
     percent = controller.number("speed_scaling_percent")
     details["Robot program"] = {"true": "runs", "false": "stopped"}.get(running or "", "unknown")

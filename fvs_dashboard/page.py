@@ -17,7 +17,7 @@ from viser import uplot
 
 from fvs_controller_node.config import LAWS
 from fvs_dashboard import markup, picture
-from fvs_dashboard.board import HISTORY_S, Action, Board
+from fvs_dashboard.board import HISTORY_S, REFERENCE, Action, Board
 from fvs_dashboard.config import VISER, DashboardConfig
 from fvs_dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
 from fvs_dashboard.scene import LEGEND, Scene
@@ -62,7 +62,7 @@ class Page:
         )
         gui.main_panel.dock_right()
         gui.main_panel.set_width(350)
-        self._panel = Panel(gui, act, tour=config.tour or bool(config.model_path))
+        self._panel = Panel(gui, act, config)
         curves = gui.add_panel()
         with curves.add_tab("Curves", viser.Icon.CHART_LINE):
             self._charts = Charts(gui, joint_names)
@@ -106,8 +106,8 @@ class Page:
             self.scene.update(board, now_s)
             if self._shown % 4 == 0:  # the curves are long and change slowly
                 self._charts.update(board, now_s)
-                tool = self._kind.topics.tool.name
-                self._inputs.content = markup.inputs_html(board, tool, now_s)
+                names = self._kind.topics.tool.name, self._kind.topics.object.name
+                self._inputs.content = markup.inputs_html(board, *names, now_s)
                 note = _UNKNOWN if board.camera is None else board.newest("arm", now_s) or ""
                 self._note.content = markup.note_html(note)
         self._shown += 1
@@ -156,10 +156,13 @@ class Panel:
     Elements of variable height are below all buttons.
     """
 
-    def __init__(self, gui: viser.GuiApi, act: Callable[[Action], None], tour: bool) -> None:
-        self._gui, self._act = gui, act
+    def __init__(
+        self, gui: viser.GuiApi, act: Callable[[Action], None], config: DashboardConfig
+    ) -> None:
+        self._gui, self._act, self._kind = gui, act, config.kind
         self._held_until_s: dict[str, float] = {}
         self._settings: dict[str, viser.GuiInputHandle] = {}
+        self._labels: dict[str, str] = {}  # names of references by the words on their buttons
         gui.add_html(markup.STYLE + markup.TOP_ROW)
         self._button("Start", "start", color="teal", icon=viser.Icon.PLAYER_PLAY)
         self._button("Stop", "stop", color="red", icon=viser.Icon.PLAYER_STOP)
@@ -167,8 +170,9 @@ class Panel:
         self._beat_s, self._beats = -inf, 0
         self._banner = gui.add_html("")
         self._answer = gui.add_html("")
-        self._add_target(tour)
-        with gui.add_folder("Scheme"):
+        self._add_target(tour=config.tour or bool(config.model_path))
+        self._add_references()
+        with gui.add_folder("Scheme", expand_by_default=False):
             estimator = gui.add_dropdown("Estimator", tuple(ESTIMATORS))
             self._sets(f"{topics.ESTIMATOR}/method", estimator)
             self._sets(f"{topics.CONTROLLER}/law", gui.add_dropdown("Law", tuple(LAWS)))
@@ -191,14 +195,16 @@ class Panel:
         for element in self._simulated:
             element.visible = False
 
-    def _button(self, label: str, action: str, **look: str) -> viser.GuiButtonHandle:
+    def _button(
+        self, label: str, action: str, value: viser.GuiTextHandle | None = None, **look: str
+    ) -> viser.GuiButtonHandle:
         button = self._gui.add_button(label, **look)
 
         @button.on_click
         async def _(_event: viser.GuiEvent) -> None:
             if action in ("set_current_as_target", "reset"):
                 self.forget_typed()
-            self._act(Action(action))
+            self._act(Action(action, value and value.value))
 
         return button
 
@@ -223,6 +229,30 @@ class Panel:
             x, y, z = (float(value) for value in self._target.value)
             self._hold("target", _SET_S)  # until the controller has taken it
             self._act(Action("target", (x, y, z)))
+
+    def _add_references(self) -> None:
+        gui = self._gui
+        with gui.add_folder("Teach and repeat"):
+            self._name = gui.add_text("Name", "", hint="Of what is taught, or gone to.")
+            gui.add_html(markup.ROW)
+            hint = "Keeps where the tool is at rest, seen from the object if one is seen."
+            self._button("Teach", "teach", self._name, color="gray", hint=hint)
+            hint = "Makes it the target, and starts the arm."
+            self._button("Go there", "go", self._name, color="blue", hint=hint)
+            self._reference = gui.add_html("")
+            gui.add_html(markup.LIST)
+            self._references = gui.add_button_group("Go to", ("",), visible=False)
+
+        @self._name.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self._hold(REFERENCE, _TYPED_S)
+
+        @self._references.on_click
+        async def _(_event: viser.GuiEvent) -> None:
+            self._name.value = self._labels[self._references.value]
+            self._hold(REFERENCE, _SET_S)  # until the controller has taken it
+            self._act(Action("go", self._name.value))
 
     def _sets(self, name: str, handle: viser.GuiInputHandle) -> None:
         """Forward the user's settings, and otherwise show the present value."""
@@ -249,12 +279,25 @@ class Panel:
         self._words.content = markup.line_html("picture", words)
         if controller.target_m is not None and self._free("target"):
             self._target.value = tuple(np.round(controller.target_m, 3).tolist())
+        self._show_references(board)
         for element in self._simulated:
             element.visible = bool(board.parameters.get(topics.SIM))
         for name, handle in self._settings.items():
             value = board.tour if name == "tour" else board.parameter(*name.split("/"))
             if isinstance(value, type(handle.value)) and self._free(name):
                 handle.value = value
+
+    def _show_references(self, board: Board) -> None:
+        name, known = board.parameter(*REFERENCE.split("/")), board.references
+        if isinstance(name, str) and self._free(REFERENCE):
+            self._name.value = name
+        chosen = known.get(self._name.value, board.references_problem)
+        text = markup.reference_text(chosen, self._kind)
+        self._reference.content = markup.line_html("reference", text)
+        self._labels = markup.reference_labels(known)
+        if self._labels and tuple(self._labels) != self._references.options:
+            self._references.options = tuple(self._labels)
+        self._references.visible = bool(self._labels)
 
     def forget_typed(self) -> None:
         """Show the controller's target again, and discard an unsent one."""

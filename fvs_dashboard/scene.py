@@ -1,4 +1,4 @@
-"""The 3-D view: arm, camera, ball or tag, and target."""
+"""The 3-D view: arm, camera, ball or tag, object, and target."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ from fvs_ros.kinds import Kind
 from fvs_ros.urdf import read_robot
 from fvs_sim_node.robot import find_meshes
 
-_MEASURED, _PREDICTED = (213, 40, 30), (255, 214, 0)
+_MEASURED, _PREDICTED, _OBJECT = (213, 40, 30), (255, 214, 0), (204, 121, 167)
 #: What the colours mean in the view.
 LEGEND = (
     ("●", _MEASURED, "as measured"),
     ("◉", _PREDICTED, "where it is now"),
     ("●", TARGET_RGB, "target: drag it"),
+    ("■", _OBJECT, "object"),
 )
 
 
@@ -70,6 +71,10 @@ class Scene:
         self._axes = scene.add_frame(
             "/camera/tag", axes_length=0.08, axes_radius=0.004, visible=False
         )
+        self._object = scene.add_frame(
+            "/camera/object", axes_length=0.08, axes_radius=0.003, visible=False
+        )
+        scene.add_box("/camera/object/plate", color=_OBJECT, dimensions=(0.08, 0.08, 0.004))
         self._add_target(ball_radius_m)
 
     def _add_surroundings(self) -> None:
@@ -125,13 +130,15 @@ class Scene:
             self._axes.wxyz = SO3.from_matrix(rotation).wxyz
             self._target.disable_rotations, self._target_axes.visible = False, True
         _put(self._axes, None if rotation is None else z[:3])
+        seen_object = board.newest("object", now_s)
+        _put(self._object, None if seen_object is None else seen_object[:3])
+        if rotation is not None and seen_object is not None:
+            self._object.wxyz = SO3.from_matrix(self._kind.rotation(seen_object)).wxyz
         # After a drag it stays where it was dropped until the controller has answered.
         if time.monotonic() - self._held_s > 0.6:
             _put(self._target, controller.target_m)
-            target = board.newest("target", now_s)
-            wanted = rotation if target is None else self._kind.rotation(target)
-            if wanted is not None:
-                self._target.wxyz = SO3.from_matrix(wanted).wxyz
+            if np.isfinite(controller.target_wxyz).all():
+                self._target.wxyz = controller.target_wxyz
 
 
 def _set_pose(node: viser.SceneNodeHandle, pose: np.ndarray) -> None:

@@ -123,7 +123,7 @@ def kind_topics(
             message_type,
             seen_object[1],
             (),
-            (CONTROLLER,),
+            (CONTROLLER, DASHBOARD),
             also_from="your own detector",
         ),
         sliding=Topic(

@@ -11,7 +11,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 _COMPLETE_S = 20.0
-_TARGET_NODE = "/camera/target"
+TARGET_NODE = "/camera/target"
 
 
 class PageClient:
@@ -20,6 +20,8 @@ class PageClient:
     def __init__(self, address: str) -> None:
         #: The panel's elements by id: their properties, and their value as ``value``.
         self.elements: dict[str, dict[str, Any]] = {}
+        #: Where things are drawn in the scene, by name.
+        self.positions: dict[str, Any] = {}
         self._complete = threading.Event()
         self._socket = connect(
             address.replace("http", "ws", 1),
@@ -65,6 +67,8 @@ class PageClient:
         kind = message["type"]
         if kind == "ReplayDoneMessage":
             self._complete.set()
+        if kind == "SetPositionMessage":
+            self.positions[message["name"]] = message["position"]
         if kind == "GuiUpdateMessage":
             self.elements.setdefault(message["uuid"], {}).update(message["updates"])
         elif "props" in message and "uuid" in message:
@@ -102,16 +106,16 @@ class PageClient:
 
     def drag_target(self, *positions: tuple[float, float, float]) -> None:
         """Drag the target through positions in the camera's frame, m, and let it go."""
-        self._send(type="TransformControlsDragStartMessage", name=_TARGET_NODE, owner="")
+        self._send(type="TransformControlsDragStartMessage", name=TARGET_NODE, owner="")
         for position in positions:
             self._send(
                 type="TransformControlsUpdateMessage",
-                name=_TARGET_NODE,
+                name=TARGET_NODE,
                 wxyz=(1.0, 0.0, 0.0, 0.0),
                 position=position,
                 owner="",
             )
-        self._send(type="TransformControlsDragEndMessage", name=_TARGET_NODE, owner="")
+        self._send(type="TransformControlsDragEndMessage", name=TARGET_NODE, owner="")
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Close the browser's window."""

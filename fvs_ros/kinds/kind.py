@@ -200,7 +200,7 @@ class Kind(Parameters):
 
     def text(self, z: np.ndarray) -> str:
         """A measurement in words."""
-        return f"({', '.join(f'{number:.3f}' for number in z)}) m"
+        return f"({', '.join(f'{1e3 * number:.1f}' for number in z)}) mm"
 
     def length_text(self, length_m: float, digits: int = 0) -> str:
         """A length, m, in words."""

@@ -192,9 +192,9 @@ class Pose(Kind):
 
     def text(self, z: np.ndarray) -> str:
         """A pose in words."""
-        quaternion = quaternion_from_rotation(self.rotation(z))
-        words = ", ".join(f"{number:.3f}" for number in quaternion)
-        return f"{super().text(z[:3])}, quaternion ({words})"
+        turned_deg = np.degrees(vector_from_rotation_rad(self.rotation(z)))
+        words = ", ".join(f"{number:.1f}" for number in turned_deg)
+        return f"{super().text(z[:3])}, turned by ({words}) degrees"
 
     def error_text(self, error_m: np.ndarray) -> str:
         """An error, m, (6,), in words."""

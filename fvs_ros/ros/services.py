@@ -29,21 +29,31 @@ class Services:
             **{f"{each}/set_parameters": SetParameters for each in nodes},
         }
         self._clients = {name: node.create_client(kind, name) for name, kind in services.items()}
-        self._stopping = False
+        self._stopping, self._stops = False, 0
         self._stop_sent_s = self._stop_late_s = 0.0
 
-    def call(self, name: str) -> None:
-        """Call a service by node and name; its answer is shown."""
+    def call(self, name: str, *then: str) -> None:
+        """Call services by node and name, one after another; their answers are shown.
+
+        A refusal or a stop ends it.
+        """
         if name == f"{topics.CONTROLLER}/start":  # a start cancels a pending stop
             self._stopping = False
         words = name.rpartition("/")[2].replace("_", " ")
-        request = Trigger.Request()
-        if not self._send(name, request, lambda a: self._show(f"{words}: {a.message}")):
+        stops = self._stops
+
+        def on_answer(answer: Trigger.Response) -> None:
+            self._show(f"{words}: {answer.message}")
+            if answer.success and then and stops == self._stops:
+                self.call(*then)
+
+        if not self._send(name, Trigger.Request(), on_answer):
             self._show(f"{name} does not answer; is {name.partition('/')[0]} running?")
 
     def stop(self) -> None:
         """Ask the controller to stop, again and again until it answers; say if that takes long."""
         self._stopping, self._stop_late_s = True, self._node.steady_s() + 0.5
+        self._stops += 1
         self._stop_sent_s = -inf
         self.repeat_stop()
 
@@ -77,13 +87,16 @@ class Services:
         if not self._send(f"{node}/get_parameters", request, on_answer):
             on_values({})
 
-    def set(self, parameter: str, value: Any) -> None:
-        """Set a parameter, named by node and name; a refusal is shown."""
+    def set(self, parameter: str, value: Any, *then: str) -> None:
+        """Set a parameter, named by node and name, then call services; a refusal is shown."""
+        stops = self._stops
 
         def on_answer(answer: SetParameters.Response) -> None:
-            for result in answer.results:
-                if not result.successful:
-                    self._show(f"refused: {result.reason}")
+            (result,) = answer.results
+            if not result.successful:
+                self._show(f"refused: {result.reason}")
+            elif then and stops == self._stops:
+                self.call(*then)
 
         node, _, name = parameter.partition("/")
         plain = value if isinstance(value, (float, str)) else list(value)

@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[urdf]')")
 
 from harness import PlayedRobot
-from page_client import PageClient
+from page_client import TARGET_NODE, PageClient
 
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME, Intrinsics
@@ -148,12 +148,54 @@ def test_a_stop_is_repeated_until_it_is_answered(loop):
     harness, _, controller, process, page = loop
     start(harness, page)
     controller.send_signal(signal.SIGSTOP)
+    page.press("Go there")
     page.press("Stop")
     page.press("Set current as target")  # means no other stop
     harness.spin_until(lambda: "does not answer yet" in page.text(), what="words")
     controller.send_signal(signal.SIGCONT)
     wait_for_state(harness, page, "READY")
     harness.spin_until(lambda: "stop: stopping" in harness.output(process), what="the answer")
+    assert "go to reference" not in harness.output(process)  # it would end with a start
+
+
+def test_what_is_taught_on_the_page_is_gone_to_where_the_object_is(loop, tmp_path):
+    harness, robot, _, _, page = loop
+    name = "fvs_controller_node"
+    assert harness.set_parameters(name, references_path=str(tmp_path / "r.yaml"))[0].successful
+    objects = harness.publisher(PointStamped, Ball.topics.object.name)
+    object_m = np.array([0.1, 0.05, 1.3])
+
+    def look():
+        objects.publish(ros.to_point(robot.now_s(), CAMERA_FRAME, object_m))
+
+    timer, taught_m = harness.node.create_timer(1 / 30, look), robot.ball - object_m
+    page.set("Name", "grasp")
+    harness.spin_until(lambda: ">Object</span>" in page.text(), what="the object")
+    harness.spin_for(1.0)  # for a mean
+    page.press("Teach")
+    harness.spin_until(
+        lambda: "taught grasp in the frame object" in page.text(), what="it", story=page.text
+    )
+    label = "grasp: object, 100 %"
+    harness.spin_until(lambda: label in page.elements[page.find("Go to")]["options"], what="a list")
+    assert "in the object&#x27;s frame" in page.text()
+    object_m += [-0.06, 0.04, 0.05]
+    page.set("Go to", label)
+
+    def there():
+        return np.linalg.norm(robot.ball - object_m - taught_m) < 0.005
+
+    harness.spin_until(there, 30.0, "the arm there", page.text)
+    object_m += [0.0, -0.03, 0.0]
+    harness.spin_until(lambda: np.allclose(page.positions["/camera/object"], object_m), what="it")
+
+    def followed():
+        return np.allclose(page.positions[TARGET_NODE], object_m + taught_m, atol=0.002)
+
+    harness.spin_until(followed, what="the target to follow the object", story=page.text)
+    page.press("Stop")
+    wait_for_state(harness, page, "READY")
+    harness.node.destroy_timer(timer)
 
 
 def test_images_are_asked_for_only_while_a_browser_looks(loop, pages):

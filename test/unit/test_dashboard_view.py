@@ -2,12 +2,18 @@
 
 import socket
 
+import numpy as np
 import pytest
 from cases import each
 
 from fvs_controller_node.loop import ServoLoop
+from fvs_controller_node.references import Reference, References
 from fvs_dashboard import markup
 from fvs_dashboard.board import Board, Controller
+from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.pose import Pose
+
+NAMES = Ball.topics.tool.name, Ball.topics.object.name
 
 
 def test_what_comes_from_outside_is_no_markup():
@@ -19,10 +25,31 @@ def test_what_comes_from_outside_is_no_markup():
         markup.banner_html(controller),
         markup.line_html("answer", evil),
         markup.note_html(evil),
-        markup.inputs_html(board, "ball_position", 0.0),
+        markup.inputs_html(board, *NAMES, 0.0),
     ):
         assert "<b>x" not in html
         assert "&lt;b&gt;x" in html
+
+
+def test_references_are_listed_whatever_stands_in_their_file(tmp_path):
+    path = tmp_path / "references.yaml"
+    kind = Pose()
+    turned = kind.of_body(np.array([0.1, 0.0, 0.05]), np.diag([-1.0, -1.0, 1.0]))
+    References(path, kind).keep("grasp", Reference(turned, "object", 0.5))
+    References(path, Ball()).keep("<b>", Reference(np.zeros(3), "camera"))
+    known = References(path, kind).entries()
+    labels = markup.reference_labels(known)
+    assert labels == {"grasp: object, 50 %": "grasp", "<b>: cannot be used": "<b>"}
+    text = markup.reference_text(known["grasp"], kind)
+    assert text == (
+        "in the object's frame: (100.0, 0.0, 50.0) mm, turned by (0.0, 0.0, 180.0) degrees"
+    )
+    assert "feature ball, expected pose" in markup.reference_text(known["<b>"], kind)
+
+
+def test_the_banner_says_way_and_angle_of_a_pose():
+    status = Controller({"error_m": "0.02", "way_m": "0.0021", "angle_rad": "0.01"}, "")
+    assert "2.10 mm, 0.57°" in markup.banner_html(status)
 
 
 # --- who is let in ---
