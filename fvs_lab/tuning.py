@@ -8,7 +8,7 @@ from fvs_controller_node.config import default_values
 from fvs_estimator_node.rbf import RbfConfig
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.results import Results, label_of
+from fvs_lab.results import Results
 from fvs_lab.trials import Trial, crossed, make_cases
 
 #: In the order in which one turns them, with the values in the order in which they are drawn; what
@@ -19,13 +19,6 @@ KNOBS = {
     "switch_error_m": (0.001, 0.002, 0.005, 0.02, 0.1),
     "rbf.n1": (0.0, 0.03, 0.1, 0.3, 1.0),
 }
-#: Claims on the knobs: claim, knob, two of its values, metric, and the required ratio of the
-#: metric's medians.
-CLAIMS = (
-    ("speed", "max_joint_velocity_rad_s", 1.0, 0.25, "to_5mm_s", 0.5),
-    ("calm", "alpha3", 1.0, 2.0, "jitter_rad_s", 0.7),
-    ("learning", "rbf.n1", 0.3, 0.0, "to_5mm_s", 0.7),
-)
 
 
 def variant(knob: str, value: float) -> Trial:
@@ -48,16 +41,6 @@ def measure(context: lab.Context) -> Results:
     return context.run(crossed(variants, cases), "tuning")
 
 
-def claims(runs: Results) -> Iterator[lab.Claim]:
-    """What each knob is for; none for knobs that a quick run left."""
-    knobs = runs.groups("parameter", "value")
-    for name, parameter, value, other, metric, bound in CLAIMS:
-        if (parameter, value) in knobs:
-            ratio = knobs[parameter, value].over(knobs[parameter, other], metric)
-            label = f"{label_of(metric)}: {value:g} over {other:g}"
-            yield lab.ours(name, lab.below(label, ratio, bound))
-
-
 def figures(runs: Results) -> Iterator[lab.Drawn]:
     """A picture per parameter: runs, settling time and jitter for each of its values."""
     defaults = {**default_values(law="ftsm"), "rbf.n1": RbfConfig.n1}
@@ -76,4 +59,5 @@ def figures(runs: Results) -> Iterator[lab.Drawn]:
         yield "knob", figure, {"knob": name}
 
 
-EXPERIMENT = lab.Experiment("tuning", measure, claims, (), globals(), figures)
+TABLES = (lab.Table("knobs", ("parameter", "value"), ("to_5mm_s:half", "jitter_rad_s:half")),)
+EXPERIMENT = lab.Experiment("tuning", measure, lambda _: (), TABLES, globals(), figures)
