@@ -9,8 +9,6 @@ from cases import each
 from recordings import Recording, relative_error, ur5_chain
 from scipy.spatial.transform import Rotation
 
-from fvs_estimator_node import chain_chart
-from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain
@@ -22,34 +20,6 @@ def error_of(fit, recording):
     probes = recording.sampled_joints()
     true = recording.chain().jacobian(probes)
     return float(np.median(relative_error(fit.chain.jacobian(probes), true)))
-
-
-@each("features", [3, 12])
-@each("prismatic", [0, 1])
-def test_the_derivatives_are_those_of_the_residuals(prismatic, features):
-    rng = np.random.default_rng(0)
-    recording = Recording(seconds=2.0)
-    chain = replace(recording.chain(), prismatic=prismatic * np.array([0, 0, 1, 0, 1, 0]))
-    directions = rng.normal(size=features - 3)
-    chain = replace(chain, feature_m=np.append(chain.feature_m, directions))
-    none = np.zeros((7, features))
-    chart = Chart(chain)
-    time_s = np.linspace(0.0, 2.0, 7)
-    values = 0.2 * rng.normal(size=chart.size)
-
-    def residuals(values):
-        joints = recording.joints(time_s - values[chain_chart.OFFSET])
-        return residuals_and_slopes(chart, values, joints, np.zeros((7, 6)), none)[0]
-
-    late_s = values[chain_chart.OFFSET]
-    joints = recording.joints(time_s - late_s)
-    velocity = (recording.joints(time_s - late_s + 1e-5) - joints) / 1e-5
-    residual, slopes = residuals_and_slopes(chart, values, joints, velocity, none)
-    np.testing.assert_allclose(residual, chart.chain(values).position(joints), atol=1e-12)
-    step = 1e-6
-    for i, unit in enumerate(np.eye(chart.size)):
-        numeric = (residuals(values + step * unit) - residuals(values - step * unit)) / (2 * step)
-        np.testing.assert_allclose(slopes[:, :, i], numeric, atol=5e-5, err_msg=str(i))
 
 
 @each(("joints", "prismatic"), [(7, []), (6, [0, 3])])
