@@ -146,6 +146,10 @@ class OnlineEstimator(Estimator):
     def _entries(self, m: int, n: int) -> int:
         """Size of the covariance of an m x n Jacobian."""
 
+    def _predicted(self, covariance: np.ndarray, dt_s: float) -> np.ndarray:
+        """The covariance before the next step, with what may have changed in a time, s."""
+        return covariance + self.config.process_noise * dt_s * np.eye(len(covariance))
+
     @abstractmethod
     def _learned(
         self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
@@ -183,8 +187,15 @@ class LkfEstimator(OnlineEstimator):
     def _learned(
         self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
     ) -> tuple[np.ndarray, np.ndarray]:
-        predicted = covariance + self.config.process_noise * step.dt_s * np.eye(len(covariance))
-        return _row_update(jacobian, predicted, self.config.step_variance_m2, step)
+        moved, variance_m2 = step.d_joints_rad, self.config.step_variance_m2
+        covariance = self._predicted(covariance, step.dt_s)
+        covaried = covariance @ moved
+        gain = covaried / (moved @ covaried + variance_m2)
+        error_m = step.d_feature_m - jacobian @ moved
+        # Joseph's form: a sum of squares, which rounding leaves positive.
+        left = np.eye(len(gain)) - np.multiply.outer(gain, moved)
+        after = left @ covariance @ left.T + np.multiply.outer(gain * variance_m2, gain)
+        return jacobian + np.multiply.outer(error_m, gain), 0.5 * (after + after.T)
 
 
 class UkfEstimator(OnlineEstimator):
@@ -204,7 +215,7 @@ class UkfEstimator(OnlineEstimator):
     ) -> tuple[np.ndarray, np.ndarray]:
         m, count = len(jacobian), jacobian.size
         variance_m2 = self.config.step_variance_m2
-        predicted = covariance + self.config.process_noise * step.dt_s * np.eye(count)
+        predicted = self._predicted(covariance, step.dt_s)
         arms = math.sqrt(count) * np.linalg.cholesky(predicted).T
         # The middle point has no weight in the mean, and 2 in the covariance.
         mean_weights = np.append(0.0, np.full(2 * count, 0.5 / count))
@@ -237,33 +248,15 @@ class RlsEstimator(LkfEstimator):
     deviation: larger eigenvalues are cut off.
     """
 
-    def _learned(
-        self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _predicted(self, covariance: np.ndarray, dt_s: float) -> np.ndarray:
         predicted, most = covariance / self.config.forgetting, self.config.initial_variance
         if predicted.trace() > most:  # the sum of the eigenvalues, all positive
             variances, directions = np.linalg.eigh(predicted)
             if variances[-1] > most:
                 predicted = (directions * np.minimum(variances, most)) @ directions.T
-        return _row_update(jacobian, predicted, self.config.step_variance_m2, step)
+        return np.asarray(predicted)
 
 
 def _is_finite(values: np.ndarray) -> bool:
     """Whether all values and the sum of their squares are finite, in one fast check."""
     return math.isfinite(np.vdot(values, values))
-
-
-def _row_update(
-    jacobian: np.ndarray, covariance: np.ndarray, noise_variance_m2: float, step: MotionStep
-) -> tuple[np.ndarray, np.ndarray]:
-    """Kalman update of rows that share one covariance, (n, n), in Joseph's form.
-
-    A sum of squares, which rounding leaves positive.
-    """
-    moved = step.d_joints_rad
-    covaried = covariance @ moved
-    gain = covaried / (moved @ covaried + noise_variance_m2)
-    error_m = step.d_feature_m - jacobian @ moved
-    left = np.eye(len(gain)) - np.multiply.outer(gain, moved)
-    after = left @ covariance @ left.T + np.multiply.outer(gain * noise_variance_m2, gain)
-    return jacobian + np.multiply.outer(error_m, gain), 0.5 * (after + after.T)
