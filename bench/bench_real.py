@@ -28,8 +28,8 @@ from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.files import DataSet
 from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.rotations import rotation_from_vector
-from fvs_ros.urdf import Kinematics
 from fvs_tools.calibration import calibrate
+from fvs_tools.kinematics import Kinematics
 from fvs_tools.table import read_table
 
 FOLDER = Path(__file__).resolve().parents[2] / "shared" / "real"

@@ -21,11 +21,12 @@ from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
-from fvs_ros.urdf import Kinematics, kinematics, read_joints
+from fvs_ros.urdf import read_joints
 from fvs_sim_node.robot import robot_of
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.calibration import calibrate
 from fvs_tools.hand_eye_model import registration
+from fvs_tools.kinematics import Kinematics, kinematics
 
 #: Duration of the motion, s.
 MOTION_S = 60.0

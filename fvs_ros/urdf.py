@@ -1,4 +1,4 @@
-"""What a URDF says of an arm's joints: their order, their limits, and where their axes are."""
+"""What a URDF says of an arm's joints: their order, frames and limits."""
 
 from __future__ import annotations
 
@@ -11,10 +11,6 @@ from math import inf, isfinite
 from typing import NoReturn
 from xml.parsers import expat
 
-import numpy as np
-
-from fvs_ros.chain import SerialChain
-from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.vectors import LARGEST
 
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -189,7 +185,7 @@ def _triple(
     return x, y, z
 
 
-def _path(above: Mapping[str, UrdfJoint], end: str) -> list[UrdfJoint]:
+def path_to(above: Mapping[str, UrdfJoint], end: str) -> list[UrdfJoint]:
     """All joints from the root, or from a loose base, to a link, of the joint before each link."""
     path: list[UrdfJoint] = []
     # A loop of joints has no root.
@@ -205,7 +201,7 @@ def _arm(above: Mapping[str, UrdfJoint], known: Collection[str]) -> str:
     Fingers are shorter than the arm, and there are two as long at least on one body. A last joint
     that is not among the known ones, if some are, is one as well.
     """
-    chains = [[joint for joint in _path(above, end) if joint.kind != "fixed"] for end in above]
+    chains = [[joint for joint in path_to(above, end) if joint.kind != "fixed"] for end in above]
     longest = max(chains, key=lambda chain: sum(joint.moves for joint in chain))
     indices = [index for index, joint in enumerate(longest) if joint.moves]
     for before, index in enumerate(indices):
@@ -239,7 +235,7 @@ def moving_chain(
     if link and end not in above:
         tips = ", ".join(sorted(above))[:400]
         raise ValueError(f"no joint of the URDF has the link {end!r} after it; there are {tips}")
-    path = _path(above, end)
+    path = path_to(above, end)
     for joint in path:
         if joint.problem:
             raise ValueError(joint.problem)
@@ -252,77 +248,3 @@ def moving_chain(
     if not moving:
         raise ValueError(f"no moving joint of the URDF carries {end or 'anything'}")
     return end, moving
-
-
-@dataclass(frozen=True)
-class Kinematics:
-    """The moving joints from a root link to a tip, with all joints at zero, in the root's frame."""
-
-    root: str
-    tip: str
-    names: tuple[str, ...]
-    axes: np.ndarray  # (n, 3)
-    points_m: np.ndarray  # (n, 3)
-    prismatic: np.ndarray  # 1 for a prismatic joint, (n,)
-    tip_rotation: np.ndarray  # (3, 3)
-    tip_m: np.ndarray  # (3,)
-    #: Whether zeros and links are exact: of a hand whose pose is measured.
-    exact: bool = False
-
-    def chain(self, feature_m: np.ndarray) -> SerialChain:
-        """The arm with what it carries, given at zero in the root's frame, m, (m,)."""
-        zero = np.zeros(len(self.names))
-        return SerialChain(self.axes, self.points_m, feature_m, zero, self.prismatic)
-
-    def tip_at(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Axes of the tip, in rows, (..., 3, 3), and its place, m, (..., 3), at joints, rad."""
-        tip = np.concatenate([self.tip_m, self.tip_rotation.T.ravel()])
-        moved = self.chain(tip).position(joints_rad)
-        return moved[..., 3:].reshape(*moved.shape[:-1], 3, 3), moved[..., :3]
-
-    def reversed(self) -> Kinematics:
-        """The same arm as its tip sees it: the last joint first, and each turning the root."""
-        back = self.tip_rotation.T
-        return Kinematics(
-            self.tip,
-            self.root,
-            self.names[::-1],
-            -(self.axes @ back.T)[::-1],
-            ((self.points_m - self.tip_m) @ back.T)[::-1],
-            self.prismatic[::-1],
-            back,
-            -back @ self.tip_m,
-            self.exact,
-        )
-
-
-def kinematics(
-    joints: Mapping[str, UrdfJoint], link: str = "", known: Collection[str] = ()
-) -> Kinematics:
-    """Where the axes of the joints are that carry a link; see :func:`moving_chain`."""
-    tip, moving = moving_chain(joints, link, known)
-    path = _path({joint.child: joint for joint in joints.values()}, tip)
-    rotation, point_m = np.eye(3), np.zeros(3)
-    axes, points_m = [], []
-    for joint in path:
-        point_m = point_m + rotation @ np.array(joint.xyz_m)
-        for angle, about in zip(joint.rpy_rad[::-1], np.eye(3)[::-1], strict=True):
-            rotation = rotation @ rotation_from_vector(angle * about)
-        if joint.moves:
-            axis = np.array(joint.axis)
-            if not np.linalg.norm(axis) > 1e-6:
-                raise ValueError(f"joint {joint.name[:60]!r} of the URDF has no axis")
-            axes.append(rotation @ axis / np.linalg.norm(axis))
-            points_m.append(point_m)
-    prismatic = np.array([joint.kind == "prismatic" for joint in moving], dtype=float)
-    names = tuple(joint.name for joint in moving)
-    return Kinematics(
-        path[0].parent,
-        tip,
-        names,
-        np.array(axes),
-        np.array(points_m),
-        prismatic,
-        rotation,
-        point_m,
-    )

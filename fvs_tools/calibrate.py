@@ -13,8 +13,9 @@ from fvs_ros import console
 from fvs_ros.arguments import Parser, how_to_install
 from fvs_ros.paths import find_file
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
-from fvs_ros.urdf import Kinematics, kinematics, read_joints
+from fvs_ros.urdf import read_joints
 from fvs_tools.calibration import calibrate, report, verdict, write
+from fvs_tools.kinematics import Kinematics, kinematics
 from fvs_tools.table import read_table
 
 

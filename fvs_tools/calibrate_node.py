@@ -19,9 +19,10 @@ from fvs_estimator_node.files import data_set_of
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.timeline import Sample, Timeline
-from fvs_ros.urdf import Kinematics, kinematics, read_joints
+from fvs_ros.urdf import read_joints
 from fvs_tools.calibration import PARAMETERS, CalibrateConfig, calibrate, report, verdict, write
 from fvs_tools.hand_eye import Estimate
+from fvs_tools.kinematics import Kinematics, kinematics
 
 _POLL_S = 0.5
 #: First calibration after this time of motion, s, and least time to the next one.

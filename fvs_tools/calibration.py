@@ -18,9 +18,9 @@ from fvs_ros.kinds import BodyConfig
 from fvs_ros.params import parameter
 from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.timeline import MAX_GAP_S
-from fvs_ros.urdf import Kinematics
 from fvs_ros.vectors import LARGEST, plausible
 from fvs_tools.hand_eye import Estimate, solve
+from fvs_tools.kinematics import Kinematics
 
 
 @dataclass(frozen=True)

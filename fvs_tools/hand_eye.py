@@ -23,8 +23,8 @@ from threadpoolctl import threadpool_limits
 from fvs_estimator_node.chain_fit import inliers, whitening
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path
-from fvs_ros.urdf import Kinematics
 from fvs_tools.hand_eye_model import HandEyeModel, Unknowns, registration
+from fvs_tools.kinematics import Kinematics
 
 #: Prior standard deviations, in the units of the unknowns; of links the largest.
 _PRIOR = Unknowns(*np.array([1.0, 1.0, 0.1, 0.02, 0.02, 0.2, 0.05, 0.005, 0.01]))

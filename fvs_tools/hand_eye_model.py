@@ -17,7 +17,7 @@ from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.joint_path import Path
 from fvs_ros.chain import SerialChain, cross_matrix
 from fvs_ros.rotations import nearest_rotation
-from fvs_ros.urdf import Kinematics
+from fvs_tools.kinematics import Kinematics
 
 #: Step of the derivatives of what a lens shows, m; the others are exact.
 _STEP = 1e-6

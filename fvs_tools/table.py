@@ -23,7 +23,7 @@ from fvs_ros.kinds import KINDS
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import rotation_from_quaternion
 from fvs_ros.timeline import Sample, Timeline
-from fvs_ros.urdf import Kinematics
+from fvs_tools.kinematics import Kinematics
 
 _STAMP, _HAND = "stamp_s", tuple(f"hand_{name}" for name in Pose.columns)
 #: A hand whose pose is measured, as an arm: it is shifted, then turned about z, y and x.

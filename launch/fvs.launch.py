@@ -17,8 +17,9 @@ from launch.actions import (
 from launch.substitutions import LaunchConfiguration
 
 from fvs_ros.paths import find_file, program
-from fvs_ros.urdf import kinematics, read_joints
+from fvs_ros.urdf import read_joints
 from fvs_sim_node.robot import robot_description, robot_of
+from fvs_tools.kinematics import kinematics
 from fvs_tools.scenario import load_scenario
 
 #: Name, default, description.

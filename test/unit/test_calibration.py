@@ -16,13 +16,14 @@ from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.paths import find_file
 from fvs_ros.rotations import rotation_angle_rad
-from fvs_ros.urdf import kinematics, read_joints
+from fvs_ros.urdf import read_joints
 from fvs_sim_node.camera import CAMERAS
 from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_tools import calibrate as program
 from fvs_tools.calibration import CalibrationError, calibrate, notes, static_transform
 from fvs_tools.calibration import verdict as verdict_of
 from fvs_tools.hand_eye_model import HandEyeModel, registration
+from fvs_tools.kinematics import kinematics
 
 URDF = find_file("robots/ur5.urdf")
 ARM = kinematics(read_joints(URDF.read_text("utf-8")))

@@ -6,7 +6,8 @@ import yaml
 from fvs_ros.limits import URDF_LIMITS, with_urdf_limits
 from fvs_ros.params import ParameterError
 from fvs_ros.paths import find_file
-from fvs_ros.urdf import kinematics, moving_chain, read_joints
+from fvs_ros.urdf import moving_chain, read_joints
+from fvs_tools.kinematics import kinematics
 
 TEXT = find_file("robots/ur5.urdf").read_text("utf-8")
 JOINTS = read_joints(TEXT)
