@@ -20,7 +20,6 @@ from fvs_ros.joints import JointMap
 from fvs_ros.kinds import KINDS, Kind
 from fvs_ros.status import vector
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
-from fvs_ros.vectors import plausible
 from fvs_tools.bag_reader import BagError, open_bag
 from fvs_tools.demo import TargetRecord, draw, table
 from fvs_tools.score import FINAL_S
@@ -93,9 +92,7 @@ def _usable(rows: _Rows, content: Callable[[Any], np.ndarray]) -> _Rows:
     usable = []
     for time_s, message in rows:
         with suppress(ValueError):
-            values = content(message)
-            if plausible(values):
-                usable.append((time_s, values))
+            usable.append((time_s, content(message)))
     return sorted(usable, key=lambda row: row[0])
 
 

@@ -113,8 +113,8 @@ def report(trained: TrainedModel) -> str:
     e, lines = trained.errors, [""]
     if "pair_error_m" in e:
         lines.append(
-            f"between held-out images: {1e3 * e['pair_error_m']:.2f} mm rms, "
-            f"{100.0 * e['pair_error_relative']:.2f} % of the ball's motion, noise included"
+            f"between held-out images: {trained.kind.length_text(e['pair_error_m'], 2)} rms, "
+            f"{100.0 * e['pair_error_relative']:.2f} % of the motion, noise included"
         )
     if trained.chain is None:
         lines.append(f"no chain: {trained.provenance['no_chain']}")
