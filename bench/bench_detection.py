@@ -33,7 +33,7 @@ def images(poses):
     renderer = Renderer(world.client, CONFIG.intrinsics)
     for offset_rad in poses:
         world.reset(np.add(HOME_JOINTS_RAD, offset_rad))
-        world.place_carried()
+        world.place_bodies()
         yield *renderer.render(POSE), POSE.to_own(world.carried_position())
     world.close()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from fvs_detector_node.tags import Tag
+from fvs_detector_node.tags import TagsConfig
 from fvs_ros.camera import CameraTopicsConfig
 from fvs_ros.kinds import BODIES, KindConfig
 from fvs_ros.params import Parameters, live_parameter, parameter
@@ -29,8 +29,8 @@ class BallColour(Parameters):
 
 
 @dataclass(frozen=True)
-class DetectorConfig(CameraTopicsConfig):
-    """Parameters of ball or tag, and of the image topics."""
+class DetectorConfig(TagsConfig, CameraTopicsConfig):
+    """Parameters of ball or tags, and of the image topics."""
 
     feature: str = parameter(
         KindConfig.feature,
@@ -51,7 +51,6 @@ class DetectorConfig(CameraTopicsConfig):
         0.5,
     )
     colour: BallColour = field(default_factory=BallColour)
-    tag: Tag = field(default_factory=Tag)
 
 
 PARAMETERS = DetectorConfig.declared()

@@ -112,18 +112,21 @@ class Detector:
         return self._rectifier
 
 
-def annotate(rgb: np.ndarray, sighting: Sighting, camera: Intrinsics) -> np.ndarray:
-    """A copy of an image, without distortion, with what is seen, or why nothing is."""
+def annotate(rgb: np.ndarray, sightings: list[Sighting], camera: Intrinsics) -> np.ndarray:
+    """A copy of an image, without distortion, with tool and object, or why they are not seen."""
     picture = np.array(rgb)
     scale = max(picture.shape[1] / 640.0, 0.4)
     thick = max(1, round(1.5 * scale))
-    lines, box = textwrap.wrap(sighting.problem, 66), sighting.box
-    if sighting.detection is not None:
-        style = {"color": (60, 230, 60), "thickness": thick, "lineType": cv2.LINE_AA, "shift": 4}
-        lines = [sighting.detection.draw(picture, camera, style)]
-    elif box is not None:
-        corner_and_size = (box.u0, box.v0, box.width, box.height)
-        cv2.rectangle(picture, corner_and_size, (255, 170, 0), thick)
+    style = {"color": (60, 230, 60), "thickness": thick, "lineType": cv2.LINE_AA, "shift": 4}
+    lines = list[str]()
+    for what, sighting in zip(("", "object: "), sightings, strict=False):
+        words, body, box = sighting.problem, sighting.detection, sighting.box
+        if body is not None:
+            words = body.draw(picture, camera, style)
+        elif box is not None:
+            corner_and_size = (box.u0, box.v0, box.width, box.height)
+            cv2.rectangle(picture, corner_and_size, (255, 170, 0), thick)
+        lines += textwrap.wrap(what + words, 66)
     # White on a darkened band: readable before anything.
     picture[: round((8 + 20 * len(lines)) * scale)] //= 4
     for row, line in enumerate(lines):

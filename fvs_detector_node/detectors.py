@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from fvs_detector_node.ball_detector import BallDetector
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detector import Detector
@@ -13,3 +15,15 @@ DETECTORS: dict[str, type[Detector]] = {"ball": BallDetector, "pose": TagDetecto
 def make_detector(config: DetectorConfig) -> Detector:
     """The detector of the configured kind of feature."""
     return DETECTORS[config.feature](config)
+
+
+def make_object_detector(config: DetectorConfig) -> Detector | None:
+    """The detector of the object, if there is one; a ``ValueError`` if its tags are the tool's."""
+    tag = config.object_tag
+    if tag is None:
+        return None
+    if DETECTORS[config.feature] is TagDetector and (
+        shared := tag.faces.keys() & config.tag.faces.keys()
+    ):
+        raise ValueError(f"object_tag_id: tag {min(shared)} is on the tool; print other numbers")
+    return TagDetector(replace(config, tag=tag))

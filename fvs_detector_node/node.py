@@ -1,4 +1,4 @@
-"""``fvs_detector_node``: images of a camera in, position of the ball or pose of the tag out."""
+"""``fvs_detector_node``: images of a camera in, ball or tag out, and an object with tags."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from fvs_detector_node.config import PARAMETERS, DetectorConfig
-from fvs_detector_node.detector import Sighting, annotate
-from fvs_detector_node.detectors import make_detector
+from fvs_detector_node.detector import Detector, Sighting, annotate
+from fvs_detector_node.detectors import make_detector, make_object_detector
 from fvs_detector_node.pairing import Pair, Pairing
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
@@ -50,17 +51,20 @@ class DetectorNode(ros.FvsNode):
         self._config = DetectorConfig.from_values(self.values)
         self._kind = KINDS[self._config.feature]()
         self._detector = make_detector(self._config)
+        self._outputs = {self._detector: self.publisher(self._kind.topics.tool)}
+        object_detector = make_object_detector(self._config)
+        if object_detector is not None:
+            self._outputs[object_detector] = self.publisher(self._kind.topics.object)
         # A little less than half the period at 30 Hz.
         self._pairing = Pairing(0.015, self._detector.needs_depth)
         self._camera: CameraModel | None = None
-        self._sighting: Sighting | None = None
+        self._sightings: dict[Detector, Sighting] = {}  # the tool's first
         self._pairs, self._published = ArrivalMonitor(), ArrivalMonitor()
         self._problem, self._problem_s = "", -np.inf
         self._latency_s = self._processing_ms = np.nan
         # Log delay: discovery of a camera takes a moment, and a barely visible ball flickers.
         self._logged, self._logged_s = "", self.now_s()
 
-        self._feature = self.publisher(self._kind.topics.tool)
         self._annotated = self.publisher(topics.ANNOTATED_IMAGE)
         prefix = self._config.camera_topics or CAMERA_PREFIXES[0]
         self._topics = self._topics_below(prefix)
@@ -137,21 +141,24 @@ class DetectorNode(ros.FvsNode):
 
     def _detect(self, pair: Pair) -> None:
         start_s = self.steady_s()
-        self._sighting = None
+        self._sightings = {}
         camera = self._camera
         if camera is None or not self._consistent(pair, camera):
             return
         rgb, depth_m = pair.colour.pixels, pair.depth and pair.depth.pixels
         try:
-            sighting = self._detector.detect(pair.stamp_s, rgb, depth_m, camera)
-            self._publish(pair, sighting)
+            sightings = {}
+            for detector, publisher in self._outputs.items():
+                sightings[detector] = detector.detect(pair.stamp_s, rgb, depth_m, camera)
+                self._publish(pair, sightings[detector], publisher)
             if self._annotated.get_subscription_count():
-                self._publish_annotated(pair, camera, sighting)
+                self._publish_annotated(pair, camera, list(sightings.values()))
         except Exception as error:  # a bad image must not stop the node
-            self._detector.reset()
+            for detector in self._outputs:
+                detector.reset()
             self._complain(self._topics["colour"], f"image not understood: {error!r:.200}")
             return
-        self._sighting = sighting
+        self._sightings = sightings
         self._processing_ms = 1e3 * (self.steady_s() - start_s)
 
     def _consistent(self, pair: Pair, camera: CameraModel) -> bool:
@@ -179,7 +186,7 @@ class DetectorNode(ros.FvsNode):
 
     # --- outputs ---
 
-    def _publish(self, pair: Pair, sighting: Sighting) -> None:
+    def _publish(self, pair: Pair, sighting: Sighting, publisher: Publisher) -> None:
         body = sighting.detection
         if body is None:
             return
@@ -188,13 +195,16 @@ class DetectorNode(ros.FvsNode):
         message = ros.to_feature(exposed_s, pair.colour.header.frame_id, self._kind, z)
         if exposed_s == pair.stamp_s:
             message.header.stamp = pair.colour.header.stamp  # to the nanosecond, as it came
-        self._feature.publish(message)
-        self._published.arrived(self.now_s())
-        self._latency_s = self.ros_s() - exposed_s
+        publisher.publish(message)
+        if publisher is self._outputs[self._detector]:
+            self._published.arrived(self.now_s())
+            self._latency_s = self.ros_s() - exposed_s
 
-    def _publish_annotated(self, pair: Pair, camera: CameraModel, sighting: Sighting) -> None:
+    def _publish_annotated(
+        self, pair: Pair, camera: CameraModel, sightings: list[Sighting]
+    ) -> None:
         rgb = self._detector.rectified(pair.colour.pixels, camera)
-        picture = annotate(rgb, sighting, camera.intrinsics)
+        picture = annotate(rgb, sightings, camera.intrinsics)
         message = ros.to_image(pair.stamp_s, pair.colour.header.frame_id, picture, "rgb8")
         message.header.stamp = pair.colour.header.stamp
         self._annotated.publish(message)
@@ -233,14 +243,14 @@ class DetectorNode(ros.FvsNode):
             return WAITING, missing
         if self._pairs.age_s(now_s) > _MISSING_S:
             return self._unpaired()
-        if self._sighting is None:
+        if not self._sightings:
             return WAITING, "waiting for the first images"
-        if self._sighting.problem:
-            return LOST, self._sighting.problem
-        return (
-            TRACKING,
-            f"the {self._kind.what} is seen, {self._kind.topics.tool.name} is published",
-        )
+        tool, *others = self._sightings.values()
+        kind = self._kind
+        words = tool.problem or f"the {kind.what} is seen, {kind.topics.tool.name} is published"
+        for sighting in others:
+            words += f"; object: {sighting.problem or kind.topics.object.name + ' is published'}"
+        return (LOST if tool.problem else TRACKING), words
 
     def _unpaired(self) -> tuple[str, str]:
         repeats, offset_s = self._pairing.repeats, self._pairing.offset_s
@@ -254,11 +264,14 @@ class DetectorNode(ros.FvsNode):
         now_s = self.now_s()
         state, reason = self._judge(now_s)
         level = {TRACKING: ros.OK, FAULT: ros.ERROR}.get(state, ros.WARN)
+        if any(sighting.problem for sighting in self._sightings.values()):
+            level = max(level, ros.WARN)
         # The status shows every change of state, the log only lasting ones.
         if state != self._logged and now_s - self._logged_s > 3.0:
             self._logged, self._logged_s = state, now_s
             self.tell(level, f"{state}: {reason}")
-        body = self._sighting and self._sighting.detection
+        sighting = self._sightings.get(self._detector)
+        body = sighting and sighting.detection
         rate_hz = self._published.report(now_s)["rate_hz"]
         self.publish_status(
             level,

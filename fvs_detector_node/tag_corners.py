@@ -72,9 +72,7 @@ class TagReader:
     def __init__(self, tag: Tag) -> None:
         count, last = len(tag.dictionary.bytesList), max(tag.faces)
         if last >= count:
-            raise ValueError(
-                f"tag_id {last} is not in {tag.tag_dictionary}, which has {count} tags"
-            )
+            raise ValueError(f"tag {last} is not in {tag.tag_dictionary}, which has {count} tags")
         self.tag = tag
         self._patterns = {number: _Pattern(tag, number) for number in tag.faces}
         self._options = cv2.aruco.DetectorParameters()
@@ -115,7 +113,7 @@ class TagReader:
         missing = f"tag {first}" if first == last else f"none of the tags {first} to {last}"
         missing += f" of {self.tag.tag_dictionary} is {'not ' if first == last else ''}in view"
         if numbers:
-            return {}, f"{missing}; seen are {sorted(set(numbers))[:8]}: check tag_id"
+            return {}, f"{missing}; seen are {sorted(set(numbers))[:8]}: is the number right?"
         if rejected:
             return {}, f"{missing}, nor another: is tag_dictionary right, the print not mirrored?"
         return {}, f"{missing}: is it covered, too far, blurred, or without a white border?"

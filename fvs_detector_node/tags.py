@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
@@ -97,3 +97,34 @@ class Tag(Parameters):
             for number, face in self.faces.items()
             if (rotation @ face.rotation[:, 2]) @ (position_m + rotation @ face.middle_m) < 0.0
         ]
+
+
+@dataclass(frozen=True)
+class TagsConfig(Parameters):
+    """The tags of the tool, and those of the object beside it."""
+
+    tag: Tag = field(default_factory=Tag)
+    object_tag_id: int = parameter(
+        -1,
+        "number of the object's tag, the others of its layout follow; -1: no object",
+        -1,
+        2**16 - 1,
+    )
+    object_tag_size_m: float = parameter(
+        0.08, "side of the black square of the object's tag; measure it", 0.005, 1.0
+    )
+    object_tag_layout: str = parameter(
+        "plate", "like tag_layout, of the object", choices=tuple(LAYOUTS)
+    )
+
+    @property
+    def object_tag(self) -> Tag | None:
+        """The object's tags, of the tool's dictionary; None without an object."""
+        if self.object_tag_id < 0:
+            return None
+        return replace(
+            self.tag,
+            tag_id=self.object_tag_id,
+            tag_size_m=self.object_tag_size_m,
+            tag_layout=self.object_tag_layout,
+        )

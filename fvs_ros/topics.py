@@ -78,6 +78,7 @@ class KindTopics(NamedTuple):
     object: Topic  #: what targets may be relative to, as measured
     sliding: Topic  #: the law's sliding variable
     truth: Topic  #: a simulator's truth, for scoring
+    object_truth: Topic  #: the same of the object
 
 
 def kind_topics(
@@ -122,7 +123,7 @@ def kind_topics(
             seen_object[0],
             message_type,
             seen_object[1],
-            (),
+            (SIM, DETECTOR),
             (CONTROLLER, DASHBOARD),
             also_from="your own detector",
         ),
@@ -139,6 +140,12 @@ def kind_topics(
             f"The true `{name}`, for scoring.",
             (SIM,),
             (DEMO,),
+        ),
+        object_truth=Topic(
+            f"{SIM}/true_{seen_object[0]}",
+            message_type,
+            f"The true `{seen_object[0]}`, for scoring.",
+            (SIM,),
         ),
     )
 

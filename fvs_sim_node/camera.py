@@ -39,6 +39,10 @@ class RigidPose:
         """Points, shape (..., 3), m, from the parent frame into its own."""
         return (np.asarray(points_m) - self.position_m) @ self.rotation
 
+    def pose_to_own(self, body: RigidPose) -> RigidPose:
+        """A body's pose, from the parent frame into its own."""
+        return RigidPose(self.to_own(body.position_m), self.rotation.T @ body.rotation)
+
 
 #: Named camera poses. ``front`` is in front of the arm and to its side, where the wrist rarely
 #: hides the ball. ``overhead`` looks down from above the arm, as in the paper; there the wrist

@@ -1,4 +1,7 @@
-"""What the arm carries, as the camera sees it. A new kind of feature adds a class and a line."""
+"""What the arm carries, and the object, as the camera sees them.
+
+A new kind of feature adds a class and a line.
+"""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import ceil
 
-from fvs_detector_node.tags import Tag
+from fvs_detector_node.tags import TagsConfig
 from fvs_ros.camera import FeatureConfig, Intrinsics
 from fvs_ros.interface import CommandInterface
 from fvs_ros.kinds import BODIES, KindConfig
@@ -33,7 +33,7 @@ TABLE = (
 
 
 @dataclass(frozen=True)
-class SimConfig(CommandInterface):
+class SimConfig(TagsConfig, CommandInterface):
     """Parameters of the simulation; fields without a description are for Python only."""
 
     seed: int = parameter(0, "seed of all noise: same seed, same run", 0)
@@ -53,7 +53,26 @@ class SimConfig(CommandInterface):
         KindConfig.feature, "what the arm carries: a ball, or a tag (pose)", choices=BODIES
     )
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
-    tag: Tag = field(default_factory=Tag)
+    object_position_m: tuple[float, ...] = live_parameter(
+        (0.45, -0.1, 0.05),
+        "middle of the object's tags, world frame; it jumps there",
+        -5.0,
+        5.0,
+        size=3,
+    )
+    object_rotation_deg: tuple[float, ...] = live_parameter(
+        (75.0, 40.0, 30.0),
+        "rotation vector of the object, world frame; zeros: it lies on its back",
+        -180.0,
+        180.0,
+        size=3,
+    )
+    object_velocity_m_s: tuple[float, ...] = live_parameter(
+        (0.0, 0.0, 0.0), "velocity of the object, as on a belt, world frame", -1.0, 1.0, size=3
+    )
+    object_turn_rate_deg_s: float = live_parameter(
+        0.0, "speed of the object's rotation about its vertical, as on a turntable", -180.0, 180.0
+    )
     joint_state_rate_hz: float = parameter(
         125.0, "joint states per second (500 on an e-series)", 10.0, 1000.0
     )

@@ -83,7 +83,8 @@ def _work(pipe: Connection, memory: tuple[Any, Any], config: SimConfig) -> None:
         while True:
             observation, config = pipe.recv()
             world.reset(observation.joints_rad)
-            world.place_carried()
+            world.object_pose = observation.object_pose
+            world.place_bodies()
             rgb[:], depth_m[:] = world.photograph(
                 config, observation.camera, observation.velocities_rad_s, rng
             )

@@ -62,6 +62,9 @@ class SimNode(ros.FvsNode):
         self._kind = self._sim.kind
         self._feature = self.publisher(self._kind.topics.tool)
         self._truth = self.publisher(self._kind.topics.truth)
+        if self._sim.world.object is not None:
+            self._object = self.publisher(self._kind.topics.object)
+            self._object_truth = self.publisher(self._kind.topics.object_truth)
         self._camera_pose = self.publisher(topics.TRUE_CAMERA_POSE)
         self._transforms = self.publisher(topics.TF_STATIC) if find_spec("tf2_msgs") else None
         self._color = self.create_publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)
@@ -150,13 +153,18 @@ class SimNode(ros.FvsNode):
         for observation in step.observations:
             self._publish_observation(observation)
         if self._truth.get_subscription_count():
-            true = self._sim.true_feature()
-            self._truth.publish(ros.to_feature(stamp_s, self._frame, self._kind, true))
+            self._truth.publish(self._message(stamp_s, self._sim.true_feature()))
+        true_object = self._sim.true_object()
+        if true_object is not None and self._object_truth.get_subscription_count():
+            self._object_truth.publish(self._message(stamp_s, true_object))
         self._publish_joints(stamp_s, step)
         self._stepped_s = self.steady_s()
         self._publish_drawn_frame()  # after the joint states, which other nodes wait for
 
     # --- outputs ---
+
+    def _message(self, stamp_s: float, z: np.ndarray) -> Any:
+        return ros.to_feature(stamp_s, self._frame, self._kind, z)
 
     def _publish_joints(self, stamp_s: float, step: SimStep) -> None:
         message = ros.to_joint_state(
@@ -176,7 +184,9 @@ class SimNode(ros.FvsNode):
                 ros.to_camera_info(stamp_s, self._frame, self._sim.reported_intrinsics)
             )
         if observation.z is not None and self._config.publish_ball_position:
-            self._feature.publish(ros.to_feature(stamp_s, self._frame, self._kind, observation.z))
+            self._feature.publish(self._message(stamp_s, observation.z))
+        if observation.object_z is not None and self._config.publish_ball_position:
+            self._object.publish(self._message(stamp_s, observation.object_z))
         if observation.frame is not None:
             self._publish_frame(stamp_s, *observation.frame)
         elif (
@@ -239,6 +249,8 @@ class SimNode(ros.FvsNode):
         """Take disturbances into use at once."""
         config = self._config = SimNodeConfig.from_values(values)
         self._sim.configure(config.simulation)
+        if changed & {"object_position_m", "object_rotation_deg"}:
+            self._sim.place_object()
         if "camera_rotation_deg" in changed:
             frame, camera = config.tf_prefix + self._sim.world.root_link, self._sim.camera
             z = Pose().of_body(camera.position_m, camera.rotation)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
 
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detectors import make_detector
+from fvs_detector_node.detector import Detector
+from fvs_detector_node.detectors import make_detector, make_object_detector
 from fvs_detector_node.images import Region
 from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.chain import SerialChain
@@ -22,8 +23,9 @@ from fvs_ros.interface import VELOCITY
 from fvs_ros.kinds import KINDS, Kind
 from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.camera import RigidPose
+from fvs_sim_node.carried import Carried
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.world import World
+from fvs_sim_node.world import World, placed_object
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class Observation:
     joints_rad: np.ndarray  # at the exposure, (n,)
     velocities_rad_s: np.ndarray  # of the joints then, (n,)
     camera: RigidPose
+    object_z: np.ndarray | None  # as z, of the object
+    object_pose: RigidPose  # the true one, world frame
     frame: tuple[np.ndarray, np.ndarray] | None = None  # colours and depths, if they are wanted
 
 
@@ -85,22 +89,20 @@ class Simulation:
         self._steps_per_period = round(config.physics_rate_hz / config.joint_state_rate_hz)
         self.position_noise: Callable[[np.random.Generator], np.ndarray] | None = None
         self.full_frames = False
-        self._detector = make_detector(
-            DetectorConfig(
-                feature=config.feature,
-                ball_radius_m=config.ball_radius_m,
-                tag=config.tag,
-            )
-        )
+        own = {member.name for member in fields(DetectorConfig)} & vars(config).keys()
+        detection = DetectorConfig(**{name: getattr(config, name) for name in own})
+        self._detector = make_detector(detection)
+        self._object_detector = make_object_detector(detection)
         self.configure(config)
         self.reset()
 
     def configure(self, config: SimConfig) -> None:
         """Take another configuration into use.
 
-        Drives, noise, losses, latency and the camera's pose and cover change at once; the image
-        rate, ``focal_error``, seed and initial joints from the next reset on. The robot, the scene
-        and the other rates are those of the first configuration.
+        Drives, noise, losses, latency, the object's speeds and the camera's pose and cover change
+        at once; the image rate, ``focal_error``, seed, initial joints and the object's place from
+        the next reset on. The robot, the scene and the other rates are those of the first
+        configuration.
         """
         self.config = self._actuator.config = config
         home = config.camera_pose or self.world.camera(config.camera)
@@ -130,7 +132,9 @@ class Simulation:
     def reset(
         self, joints_rad: Sequence[float] | np.ndarray | None = None, seed: int | None = None
     ) -> None:
-        """Start again at time 0 with the seed's noise, at rest; the camera stays where it is.
+        """Start again at time 0 with the seed's noise, at rest, the object in its place.
+
+        The camera stays where it is.
 
         Parameters
         ----------
@@ -146,8 +150,8 @@ class Simulation:
         if joints.shape != self.world.lower_rad.shape or not np.isfinite(joints).all():
             count = len(self.world.lower_rad)
             raise ValueError(f"the arm needs {count} finite joint angles, got {joints.tolist()}")
-        seeds = np.random.SeedSequence(config.seed if seed is None else seed).spawn(4)
-        self._noise_rng, self._loss_rng, self._encoder_rng, self._frame_rng = map(
+        seeds = np.random.SeedSequence(config.seed if seed is None else seed).spawn(5)
+        self._noise_rng, self._loss_rng, self._encoder_rng, self._frame_rng, self._object_rng = map(
             np.random.default_rng, seeds
         )
         self._step = 0
@@ -158,9 +162,16 @@ class Simulation:
         self._sought: np.ndarray | None = None
         self._pending: deque[tuple[float, Observation]] = deque()
         self._detector.reset()
+        if self._object_detector is not None:
+            self._object_detector.reset()
+        self.place_object()
         self._actuator.reset()
         self.world.reset(joints)
         self._joints, self._velocities = self.world.joint_states()
+
+    def place_object(self) -> None:
+        """Put the object where the configuration has it."""
+        self.world.object_pose = placed_object(self.config)
 
     def command(self, values: Sequence[float] | np.ndarray) -> str | None:
         """Command the joints, as ``forward_velocity_controller`` takes it.
@@ -231,6 +242,7 @@ class Simulation:
             self.world.step()
             self._joints, self._velocities = self.world.joint_states()
             self._step += 1
+            self.world.move_object(self.config, 1.0 / self.config.physics_rate_hz)
             self._expose_if_due()
         now_s = self.time_s
         released = []
@@ -253,8 +265,16 @@ class Simulation:
     def look(self) -> Observation:
         """Expose an image now; nothing is released for it."""
         if self.config.rendered or self.full_frames:
-            self.world.place_carried()
-        z, visible_fraction = self._measured()
+            self.world.place_bodies()
+        world, object_z = self.world, None
+        z, visible_fraction = self._measured(
+            world.carried, self.true_pose(), self._detector, self._noise_rng
+        )
+        if world.object is not None and self._object_detector is not None:
+            pose = self.camera.pose_to_own(world.object_pose)
+            object_z, _ = self._measured(
+                world.object, pose, self._object_detector, self._object_rng
+            )
         return Observation(
             self.time_s,
             z,
@@ -263,6 +283,8 @@ class Simulation:
             self.joints_rad,
             self._velocities,
             self.camera,
+            object_z,
+            world.object_pose,
             self._photograph(self._frame_rng) if self.full_frames else None,
         )
 
@@ -271,11 +293,13 @@ class Simulation:
     ) -> tuple[np.ndarray, np.ndarray]:
         return self.world.photograph(self.config, self.camera, self._velocities, rng, region)
 
-    def _measured(self) -> tuple[np.ndarray | None, float]:
-        """What is reported of ball or tag now, None if it is not seen, and its visible fraction."""
-        true, camera = self.true_pose(), self.intrinsics
-        body = None if self.config.camera_covered else self.world.carried.part(true, camera)
-        if body is None:
+    def _measured(
+        self, body: Carried, true: RigidPose, detector: Detector, rng: np.random.Generator
+    ) -> tuple[np.ndarray | None, float]:
+        """What is reported of a body now, None if it is not seen, and its visible fraction."""
+        camera = self.intrinsics
+        part = None if self.config.camera_covered else body.part(true, camera)
+        if part is None:
             return None, 0.0
         if not self.config.rendered:
             u, v = camera.project(true.position_m)
@@ -284,19 +308,19 @@ class Simulation:
             position_m, rotation, fraction = self.as_seen(true.position_m), true.rotation, 1.0
         else:
             # As from a camera that sends only the region around the body: drawing takes long.
-            region = body.grown(body.width // 8 + 8, camera)
+            region = part.grown(part.width // 8 + 8, camera)
             view = CameraModel(region.view(self.reported_intrinsics))
-            part = self._photograph(self._noise_rng, region)
-            detection = self._detector.detect(self.time_s, *part, view).detection
+            images = self._photograph(rng, region)
+            detection = detector.detect(self.time_s, *images, view).detection
             if detection is None:
                 return None, 0.0
             position_m, rotation = detection.position_m, detection.rotation
             fraction = detection.visible_fraction
-        return self._blurred(self.kind.of_body(position_m, rotation)), fraction
+        return self._blurred(self.kind.of_body(position_m, rotation), rng), fraction
 
-    def _blurred(self, z: np.ndarray) -> np.ndarray:
+    def _blurred(self, z: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """The measurement with further noise, of a rotation along its arc."""
-        rng, deviation_m = self._noise_rng, self.config.position_noise_m
+        deviation_m = self.config.position_noise_m
         if self.position_noise is None and deviation_m == 0.0:
             return z
         noise_m = np.zeros(self.kind.size)
@@ -330,6 +354,13 @@ class Simulation:
     def true_feature(self) -> np.ndarray:
         """The feature as the camera sees it now, (m,). For evaluation only."""
         pose = self.true_pose()
+        return self.kind.of_body(pose.position_m, pose.rotation)
+
+    def true_object(self) -> np.ndarray | None:
+        """The object's feature as the camera sees it now, (m,). For evaluation only."""
+        if self.world.object is None:
+            return None
+        pose = self.camera.pose_to_own(self.world.object_pose)
         return self.kind.of_body(pose.position_m, pose.rotation)
 
     def true_jacobian(

@@ -1,4 +1,4 @@
-"""The PyBullet world: the arm, its ball or tag, other objects, and the renderer.
+"""The PyBullet world: the arm, its ball or tag, an object with tags, others, and the renderer.
 
 Every world is its own client, so that one process can
 hold several.
@@ -7,6 +7,7 @@ hold several.
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from functools import cached_property
 from tempfile import NamedTemporaryFile
 from typing import Any
@@ -19,10 +20,10 @@ from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
-from fvs_ros.rotations import quaternion_from_rotation
+from fvs_ros.rotations import quaternion_from_rotation, rotation_from_vector
 from fvs_ros.urdf import UrdfJoint
 from fvs_sim_node.camera import RigidPose, add_depth_noise
-from fvs_sim_node.carried import CARRIED, exposed
+from fvs_sim_node.carried import CARRIED, Carried, CarriedTag, exposed
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.placement import Placement
 from fvs_sim_node.robot import moving_joints, robot_description, robot_of
@@ -40,6 +41,8 @@ class World:
     The world frame is that of the URDF's root link, ``root_link``. Gravity is off, since an arm's
     controller compensates it. ``client`` has PyBullet's functions for this world; ``joint_names``
     are the moving joints from the root to the ball's link, with their limits, shape (n,).
+    ``object`` is the one with tags, if there is one, at ``object_pose``, world frame, which may be
+    set.
 
     A ``ValueError`` says that the URDF cannot be loaded, or lacks the link or joints that move it.
     """
@@ -79,12 +82,17 @@ class World:
             self._offset_m += self.carried.depth_m
             self._carried_body = self._body(self.carried.shape(self.client))
             self._rod = self._add_rod()
+            self.object: Carried | None = None
+            self.object_pose = placed_object(config)
+            if config.object_tag is not None:
+                self.object = CarriedTag(replace(config, tag=config.object_tag))
+                self._object_body = self._body(self.object.shape(self.client))
             self.reset(np.zeros(len(self._joints)))
             self._zero_position_m, self._zero_link = self.carried_position(), self._link_rotation()
             self._mount = np.eye(3)
             if self.carried.tilt_rad is not None:
                 self._mount = self._facing(config) @ cv2.Rodrigues(self.carried.tilt_rad)[0]
-            self.place_carried()
+            self.place_bodies()
         except BaseException:
             self.close()
             raise
@@ -210,8 +218,8 @@ class World:
 
     def carried_pose(self, camera: RigidPose) -> RigidPose:
         """Ball or tag as a camera sees it; the tag's x to the right of the print, z out of it."""
-        rotation = camera.rotation.T @ self._link_rotation() @ self._mount
-        return RigidPose(camera.to_own(self.carried_position()), rotation)
+        rotation = self._link_rotation() @ self._mount
+        return camera.pose_to_own(RigidPose(self.carried_position(), rotation))
 
     def photograph(
         self,
@@ -237,6 +245,13 @@ class World:
         )
         poses = exposed(self.carried_pose(camera), linear, angular, config.exposure_s)
         self.carried.paint(rgb, depth_m, view, poses, rng)
+        if self.object is not None:
+            linear = np.array(config.object_velocity_m_s) @ camera.rotation
+            angular = np.radians(config.object_turn_rate_deg_s) * camera.rotation[2]
+            poses = exposed(
+                camera.pose_to_own(self.object_pose), linear, angular, config.exposure_s
+            )
+            self.object.paint(rgb, depth_m, view, poses, rng)
         depth_m = add_depth_noise(depth_m, intrinsics.fx, rng, config.depth_noise)
         return rgb, depth_m * np.float32(1.0 + config.depth_error)
 
@@ -303,8 +318,17 @@ class World:
             shares[index] = np.mean([hit[0] >= 0 for hit in hits])
         return shares
 
-    def place_carried(self) -> None:
-        """Move the ball or tag and its rod to the link's present pose; call before rendering."""
+    def move_object(self, config: SimConfig, dt_s: float) -> None:
+        """Let belt and turntable carry the object on."""
+        angle_rad = np.radians(config.object_turn_rate_deg_s * dt_s)
+        way_m = dt_s * np.array(config.object_velocity_m_s)
+        if self.object is not None and (angle_rad or way_m.any()):
+            rotation = rotation_from_vector(np.array([0.0, 0.0, angle_rad]))
+            position_m = self.object_pose.position_m + way_m
+            self.object_pose = RigidPose(position_m, rotation @ self.object_pose.rotation)
+
+    def place_bodies(self) -> None:
+        """Move ball or tag, its rod, and the object to their present poses; before rendering."""
         state = self._link_state()
         rotation = self._link_rotation() @ self._mount
         foot = np.array(state[4]) - self.carried.rod_gap_m * rotation[:, 2]
@@ -312,6 +336,18 @@ class World:
         self.client.resetBasePositionAndOrientation(
             self._carried_body, self.carried_position(), quaternion_from_rotation(rotation)
         )
+        if self.object is not None:
+            self.client.resetBasePositionAndOrientation(
+                self._object_body,
+                self.object_pose.position_m,
+                quaternion_from_rotation(self.object_pose.rotation),
+            )
+
+
+def placed_object(config: SimConfig) -> RigidPose:
+    """Where the parameters put the object, world frame."""
+    rotation = rotation_from_vector(np.radians(config.object_rotation_deg))
+    return RigidPose(np.array(config.object_position_m), rotation)
 
 
 class Renderer:

@@ -129,6 +129,8 @@ class ClosedLoop:
             if image.z is not None:
                 self.estimation.add_image(image.stamp_s, image.z)
                 self.loop.add_image(now_s, image.stamp_s, image.z)
+            if image.object_z is not None:
+                self.loop.add_object(now_s, image.stamp_s, image.object_z)
         self.estimation.add_joints(now_s, out.joints_rad)
         problem, chain = self.estimation.problem, self.estimator.chain
         if not problem:

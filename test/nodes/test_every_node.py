@@ -23,6 +23,7 @@ from fvs_tools.scenario import NODE_TABLE, parameters_of
 
 #: What a node needs that runs beside others and has no node to talk to.
 ALONE = {
+    "fvs_detector_node": {"object_tag_id": 10},
     "fvs_dashboard": {"port": 0},
     "fvs_recorder_node": {"images": False},
     "fvs_sim_node": {  # as beside a detector
@@ -30,6 +31,7 @@ ALONE = {
         "image_rate_hz": 1.0,
         "simulated_time": True,
         "publish_ball_position": False,
+        "object_tag_id": 10,
     },
 }
 #: With these, a node has other topics, and needs no model.

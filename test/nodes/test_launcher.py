@@ -160,7 +160,7 @@ REFUSED = [
     (
         "fvs_detector_node.node",
         {"feature": "pose", "tag_dictionary": "4X4_50", "tag_id": 50},
-        "tag_id 50 is not in 4X4_50",
+        "tag 50 is not in 4X4_50",
     ),
     ("fvs_estimator_node.node", {"model_path": "nowhere.npz"}, "model_path"),
     ("fvs_estimator_node.node", {"feature_frame": "other_frame"}, "other_frame"),

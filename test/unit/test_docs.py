@@ -111,5 +111,6 @@ def test_parameters_have_si_units_and_no_negative_time_rate_or_size():
             where, name = f"{node}: {parameter.name}", parameter.name
             assert not name.endswith(("_ms", "_mm", "_cm", "_us", "_ns")), where
             if name.endswith(("_s", "_hz", "radius_m", "error_m", "_rad_s2")):
-                # Stamps may be early.
-                assert (parameter.minimum or 0.0) >= 0.0 or name == "stamp_delay_s", where
+                # Stamps may be early, and velocities have a direction.
+                signed = name == "stamp_delay_s" or name.startswith("object_")
+                assert (parameter.minimum or 0.0) >= 0.0 or signed, where

@@ -1,6 +1,7 @@
 """The simulator keeps the real robot's contract, its promises in time, and its determinism."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -203,3 +204,29 @@ def test_joint_stops_at_its_limit_and_leaves_it_as_from_rest(sign, joint_lag_s):
     assert sign * positions[0] > 0.3
     left = driven(actuator, 50, -0.5 * sign, positions)
     np.testing.assert_allclose(left[:, 1], driven(resting, 50, -0.5 * sign)[:, 1], atol=1e-12)
+
+
+def feature_of(simulation, observation):
+    camera = observation.camera.pose_to_own(observation.object_pose)
+    return simulation.kind.of_body(camera.position_m, camera.rotation)
+
+
+@each("feature", ["ball", "pose"])
+def test_belt_and_turntable_move_the_object_and_it_is_seen(make, feature):
+    moving = {"object_velocity_m_s": (0.1, -0.05, 0.02), "object_turn_rate_deg_s": 30.0}
+    simulation = make(feature=feature, object_tag_id=10, rendered=False, **moving)
+    kind = simulation.kind
+    steps = [simulation.true_object() for _ in range(50) if simulation.advance()]
+    motions_m = np.array([kind.minus(b, a) for a, b in pairwise(steps)])
+    to_camera = simulation.camera.rotation.T
+    twist = to_camera @ moving["object_velocity_m_s"], np.radians(30.0) * to_camera[:, 2]
+    expected_m = PERIOD_S * np.concatenate([twist[0], 0.3 * twist[1]])[: kind.size]
+    np.testing.assert_allclose(motions_m, np.tile(expected_m, (49, 1)), atol=1e-9)
+    change(simulation, object_velocity_m_s=(0.0,) * 3, object_turn_rate_deg_s=0.0)
+    stopped = simulation.true_object()
+    seen = observations(run(simulation, 25))
+    np.testing.assert_allclose(simulation.true_object(), stopped)
+    for look in seen:
+        np.testing.assert_allclose(look.object_z, feature_of(simulation, look), atol=1e-12)
+    simulation.place_object()
+    assert np.linalg.norm(kind.minus(simulation.true_object(), steps[0])[:3]) < 1e-3

@@ -56,7 +56,7 @@ def test_every_family_is_read(name):
     ("tags", "options", "words"),
     [
         ([], {}, "not in view: is it covered"),
-        ([(5, turned(0.5), MIDDLE)], {}, "seen are [5]: check tag_id"),
+        ([(5, turned(0.5), MIDDLE)], {}, "seen are [5]: is the number right?"),
         ([(0, turned(0.5), MIDDLE)], {"mirrored": True}, "print not mirrored"),
         ([(0, turned(0.5), MIDDLE)], {"name": "4X4_50"}, "is tag_dictionary right"),
         ([(0, turned(0.5), MIDDLE + [x, 0, 0]) for x in (-0.1, 0.1)], {}, "2 tags have"),
@@ -270,7 +270,7 @@ def test_a_page_shows_all_tags_of_a_layout_at_their_places(tmp_path):
     [
         (["--size-m", "0.2"], "takes tags of 0.152 m at most"),
         (["--dictionary", "36h11"], "tag_dictionary must be one of"),
-        (["--id", "9999"], "tag_id 9999 is not in APRILTAG_36h11"),
+        (["--id", "9999"], "tag 9999 is not in APRILTAG_36h11"),
         (["-o", "tag.jpg"], "must end in .pdf or .png"),
         (["-o", "/nowhere/tag.pdf"], "/nowhere"),
     ],
