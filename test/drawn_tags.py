@@ -12,13 +12,10 @@ def dictionary(name="APRILTAG_36h11"):
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
 
 
-def corners_m(size_m=SIZE_M):
-    """Of a tag in its own frame, clockwise from the upper left, (4, 3)."""
-    return 0.5 * size_m * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
-
-
 def corners_px(rotation, position_m, camera=VGA, size_m=SIZE_M):
-    return camera.project(corners_m(size_m) @ rotation.T + position_m)
+    """Of a tag, clockwise from the upper left, (4, 2)."""
+    corners_m = 0.5 * size_m * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    return camera.project(corners_m @ rotation.T + position_m)
 
 
 def random_pose(rng, most_tilt_rad=1.1, camera=VGA):

@@ -8,6 +8,8 @@ from fvs_tools.closed_loop import ClosedLoop
 EXACT = Conditions(rendered=False)
 #: Of a tag, with noise like that of images.
 EXACT_POSE = Conditions(feature="pose", rendered=False, position_noise_m=3e-4)
+START_RAD = np.array([0.1, -1.2, 1.5, -1.8, -1.4, -0.1])
+GOAL_RAD = np.array([-0.2, -1.5, 1.75, -1.6, -1.75, 0.2])
 
 
 def loop_from(name, start_rad, simulation=None, seed=1, **values):

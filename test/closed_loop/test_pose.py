@@ -5,16 +5,13 @@ Errors are lengths: a degree counts 5 mm, at the lever arm of 0.3 m.
 
 import numpy as np
 from cases import each
-from lock_step import EXACT_POSE, feature_at, loop_from, run
+from lock_step import EXACT_POSE, GOAL_RAD, START_RAD, feature_at, loop_from, run
 
 from fvs_controller_node.reasons import Reason
 from fvs_lab.trials import simulation_of
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.schemes import BEYOND, SCHEMES
-
-START_RAD = np.array([0.1, -1.2, 1.5, -1.8, -1.4, -0.1])
-GOAL_RAD = np.array([-0.2, -1.5, 1.75, -1.6, -1.75, 0.2])
 
 
 def loop_and_target(scheme):

@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 from cases import each
-from lock_step import EXACT_POSE, feature_at, loop_from
+from lock_step import EXACT_POSE, GOAL_RAD, START_RAD, feature_at, loop_from
 
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.relation import OBJECT_FRAME
 from fvs_lab.trials import Conditions, simulation_of
 
-GOAL_RAD = np.array([-0.2, -1.5, 1.75, -1.6, -1.75, 0.2])
-START_RAD = np.array([0.1, -1.2, 1.5, -1.8, -1.4, -0.1])
 KINDS = {
     "ball": Conditions(rendered=False, position_noise_m=3e-4),
     "pose": EXACT_POSE,

@@ -47,11 +47,9 @@ def test_it_publishes_what_a_ur_and_a_detector_publish(simulator):
     assert np.isfinite([states[-1].position, states[-1].velocity, states[-1].effort]).all()
     assert running[0].data
     assert balls[-1].header.frame_id == "camera_color_optical_frame"
-    stamps = [ros.from_stamp(m.header.stamp) for m in balls]
-    assert np.median(np.diff(stamps)) == pytest.approx(1 / 30, abs=0.003)
     # A ball position is published latency_s after the exposure that it is stamped with.
-    age = ros.from_stamp(states[-1].header.stamp) - stamps[-1]
-    assert 0.03 < age < 0.2
+    age_s = ros.from_stamp(states[-1].header.stamp) - ros.from_stamp(balls[-1].header.stamp)
+    assert 0.03 < age_s < 0.2
     ball, truth = (np.array([m.point.x, m.point.y, m.point.z]) for m in (balls[-1], truths[-1]))
     assert 0.0 < np.linalg.norm(ball - truth) < 0.01
 

@@ -1,4 +1,4 @@
-"""The damped pseudo inverse against numpy's, the least largest speed against a linear programme."""
+"""The least largest speed against a linear programme, and near the ends of joints."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ from cases import each
 from scipy.optimize import linprog
 
 from fvs_controller_node.redundancy import (
-    DampedInverse,
     LeastSpeedInverse,
 )
 from fvs_ros.limits import JointLimits
@@ -49,14 +48,3 @@ def test_a_joint_near_its_end_leaves_the_work_to_the_others_but_not_on_the_way_b
     assert outward[0] < 0.3 * outward[3]
     inward = inverse.joint_velocity(jacobian, np.array([-1.0, 0.0, 0.0]), near)
     assert inward[0] == pytest.approx(inward[3])
-
-
-VELOCITY = np.array([0.1, -0.2, 0.05])
-
-
-def test_damping_slows_each_direction_by_its_singular_value():
-    jacobian, mu = RNG.normal(size=(3, 6)), 0.01
-    u, w, vt = np.linalg.svd(jacobian, full_matrices=False)
-    wanted = vt.T @ (w / (w**2 + mu) * (u.T @ VELOCITY))
-    got = DampedInverse(damping=mu).joint_velocity(jacobian, VELOCITY)
-    np.testing.assert_allclose(got, wanted, atol=1e-12)
