@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from bench.timing import spread
-from fvs_detector_node.ball_detector import BallDetector, detect_ball
+from fvs_detector_node.ball_detector import BallDetector
 from fvs_detector_node.config import DetectorConfig
 from fvs_ros.camera import CameraModel
 from fvs_ros.ros import to_image
@@ -42,10 +42,10 @@ def accuracy(poses, noise):
     """Errors, mm, where the ball is in full view, at a factor on the depth camera's noise."""
     rng = np.random.default_rng(0)
     offsets_rad = np.array(TRAINING_BOX_RAD) * rng.uniform(-1, 1, (poses, len(TRAINING_BOX_RAD)))
-    errors_mm = []
+    errors_mm, detector = [], BallDetector(DetectorConfig())
     for rgb, depth_m, ball_m in images(offsets_rad):
         measured_m = add_depth_noise(depth_m, CONFIG.intrinsics.fx, rng, noise)
-        ball = detect_ball(rgb, measured_m, CONFIG.intrinsics, CONFIG.ball_radius_m).detection
+        ball = detector.detect_in(0.0, rgb, measured_m, CONFIG.intrinsics).detection
         if ball is not None and ball.visible_fraction > 0.97:
             errors_mm.append(1e3 * np.linalg.norm(ball.position_m - ball_m))
     return np.array(errors_mm)

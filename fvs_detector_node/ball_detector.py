@@ -62,8 +62,8 @@ class BallDetector(Detector):
     ) -> Sighting:
         """Detect the ball, or say which limits of its colour would show it."""
         assert depth_m is not None
-        radius_m, colour = self._config.ball_radius_m, self._config.colour
-        sighting = detect_ball(rgb, depth_m, camera, radius_m, colour)
+        colour = self._config.colour
+        sighting = self._look(rgb, depth_m, camera, colour)
         if sighting.detection is not None:
             return sighting
         relaxed = replace(
@@ -71,7 +71,7 @@ class BallDetector(Detector):
             min_saturation=min(_LEAST.min_saturation, colour.min_saturation),
             min_value=min(_LEAST.min_value, colour.min_value),
         )
-        ball = detect_ball(rgb, depth_m, camera, radius_m, relaxed).detection
+        ball = self._look(rgb, depth_m, camera, relaxed).detection
         if ball is None:
             return sighting
         box = ball.box(camera).grown(0, camera)
@@ -86,59 +86,24 @@ class BallDetector(Detector):
         )
         return Sighting(None, problem, box)
 
-
-def detect_ball(
-    rgb: np.ndarray,
-    depth_m: np.ndarray,
-    camera: Intrinsics,
-    radius_m: float,
-    colour: BallColour | None = None,
-) -> Sighting:
-    """Detect the ball, or else say why the largest object of its colour is not it.
-
-    Parameters
-    ----------
-    rgb : ndarray of uint8, shape (H, W, 3)
-        Colour image, red first.
-    depth_m : ndarray of float, shape (H, W)
-        Depth along the optical axis, aligned to the colour image, m; 0 or NaN where unknown.
-    camera : Intrinsics
-        Of this image (of the sub-image, where only a part is given).
-    radius_m : float
-        Radius of the ball, m.
-    colour : BallColour, optional
-        Its colour; default red.
-
-    Returns
-    -------
-    Sighting
-        Without a detection if no ball is seen, or less than three tenths of it.
-
-    Raises
-    ------
-    ValueError
-        If the sizes of images and intrinsics differ.
-    """
-    size = (camera.height, camera.width)
-    if rgb.shape != (*size, 3) or depth_m.shape != size:
-        raise ValueError(
-            f"intrinsics are for {size[1]}x{size[0]} pixels, but the colour image has shape "
-            f"{rgb.shape} and the depth image {depth_m.shape}"
-        )
-    scene = _Scene(colour_mask(rgb, colour or BallColour()), depth_m, camera, radius_m)
-    balls: list[BallDetection] = []
-    miss: Sighting | None = None
-    for blob in _blobs(scene.mask):
-        result = _evaluate(blob, scene)
-        if isinstance(result, Sighting):
-            balls += _split_by_depth(blob, scene)
-            miss = miss or result
-        else:
-            balls.append(result)
-    if balls:
-        return Sighting(max(balls, key=lambda ball: ball.quality))
-    text = "nothing in view has the ball's colour: is it out of view, or hue wrong?"
-    return miss or Sighting(None, text)
+    def _look(
+        self, rgb: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, colour: BallColour
+    ) -> Sighting:
+        """The ball, or else why the largest object of its colour is not it."""
+        scene = _Scene(colour_mask(rgb, colour), depth_m, camera, self._config.ball_radius_m)
+        balls: list[BallDetection] = []
+        miss: Sighting | None = None
+        for blob in _blobs(scene.mask):
+            result = _evaluate(blob, scene)
+            if isinstance(result, Sighting):
+                balls += _split_by_depth(blob, scene)
+                miss = miss or result
+            else:
+                balls.append(result)
+        if balls:
+            return Sighting(max(balls, key=lambda ball: ball.quality))
+        text = "nothing in view has the ball's colour: is it out of view, or hue wrong?"
+        return miss or Sighting(None, text)
 
 
 def colour_mask(rgb: np.ndarray, colour: BallColour) -> np.ndarray:
