@@ -40,16 +40,6 @@ def error_mm(sighting, centre):
 
 
 # ------------------------------------------------------------------------------- searching
-def test_a_ball_that_moves_is_found_in_a_window_at_the_same_place_as_in_the_whole():
-    follows = detector()
-    for i in range(6):
-        images = ball(CENTRE + [0.02 * i, 0.01 * i, 0.0])
-        sighting = follows.detect(DT * i, *images, PINHOLE)
-        assert sighting.problem == ""
-        fresh = detector().detect(0.0, *images, PINHOLE)
-        np.testing.assert_allclose(
-            sighting.detection.position_m, fresh.detection.position_m, atol=1e-9
-        )
 
 
 @each("shift_m", [-0.3, 0.05, 0.06, 0.07, 0.08])

@@ -63,10 +63,11 @@ def test_a_time_offset_of_the_images_is_found_and_corrected(late_s):
 
 
 def test_without_torch_the_way_out_is_named(monkeypatch):
+    data = Recording(seconds=15.0).data()
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "fvs_estimator_node.varpro", raising=False)
     with pytest.raises(TrainingError, match="needs torch: pip install torch, or use the method ri"):
-        train(Recording(seconds=20.0).data(), TrainingOptions(method="varpro"))
+        train(data, TrainingOptions(method="varpro"))
 
 
 def notes_of(seconds, change, **changes):
