@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.tag_detector import TagDetector
+from fvs_detector_node.tag_pose import TagDetector
 from fvs_detector_node.tags import SQUARE, Tag
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.files import DataSet

@@ -20,8 +20,9 @@ import numpy as np
 from drawn_tags import SIZE_M, VGA, corners_px, draw, random_pose
 
 from bench.timing import spread
+from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.tag_corners import FIT, TagReader, across_px
-from fvs_detector_node.tag_pose import PoseFinder
+from fvs_detector_node.tag_pose import TagDetector
 from fvs_detector_node.tags import Tag
 
 TAG = Tag(tag_size_m=SIZE_M)
@@ -33,7 +34,7 @@ def angle_deg(rotation, true):
 
 
 def drawn(rng):
-    reader, finder = TagReader(TAG), PoseFinder(TAG)
+    reader, finder = TagReader(TAG), TagDetector(DetectorConfig(tag=TAG))
     errors_px, errors, spent_ms, unread, unsure, wrong = [], [], [], 0, 0, 0
     for k in range(IMAGES):
         pose = random_pose(rng, 1.2)
@@ -45,7 +46,7 @@ def drawn(rng):
             unread += 1
             continue
         errors_px.append(corners[0].px - corners_px(*pose))
-        tag, _ = finder.find(float(k), corners, VGA)
+        tag = finder.find(float(k), corners, VGA).detection
         if tag is None:
             unsure += 1
             continue

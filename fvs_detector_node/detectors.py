@@ -7,7 +7,7 @@ from dataclasses import replace
 from fvs_detector_node.ball_detector import BallDetector
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detector import Detector
-from fvs_detector_node.tag_detector import TagDetector
+from fvs_detector_node.tag_pose import TagDetector
 
 DETECTORS: dict[str, type[Detector]] = {"ball": BallDetector, "pose": TagDetector}
 

@@ -14,8 +14,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from fvs_detector_node.config import DetectorConfig
+from fvs_detector_node.detector import Detector, Sighting
 from fvs_detector_node.images import Region
-from fvs_detector_node.tag_corners import Corners
+from fvs_detector_node.tag_corners import Corners, TagReader
 from fvs_detector_node.tags import SQUARE, Tag
 from fvs_ros.camera import Intrinsics
 from fvs_ros.rotations import rotation_angle_rad
@@ -96,24 +98,29 @@ class _Fit:
     chi2: float  # squared residuals, in the variances that count where two poses fit
 
 
-class PoseFinder:
-    """Finds the pose of a tag, or of a layout of them, from corners; remembers the last one."""
+class TagDetector(Detector):
+    """Detects the tag, or the body of tags; remembers the last rotation, and when it was."""
 
-    def __init__(self, tag: Tag) -> None:
-        self._tag = tag
-        self._last: tuple[float, np.ndarray] | None = None
+    measured = ("residual_px",)
+
+    def __init__(self, config: DetectorConfig) -> None:
+        self._tag, self._reader = config.tag, TagReader(config.tag)
+        super().__init__(config)
 
     def reset(self) -> None:
         """Forget the last pose."""
-        self._last = None
+        super().reset()
+        self._certain: tuple[float, np.ndarray] | None = None
 
-    def find(
-        self, stamp_s: float, corners: dict[int, Corners], camera: Intrinsics
-    ) -> tuple[TagPose | None, str]:
-        """The pose, or None and why there is none.
+    def detect_in(
+        self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray | None, camera: Intrinsics
+    ) -> Sighting:
+        """Detect the tag; ``depth_m`` does not matter."""
+        corners, problem = self._reader.read(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
+        return self.find(stamp_s, corners, camera) if corners else Sighting(None, problem)
 
-        Takes the exposure, s, and by the tags' numbers their corners; at least one.
-        """
+    def find(self, stamp_s: float, corners: dict[int, Corners], camera: Intrinsics) -> Sighting:
+        """The pose at an exposure, s, from corners by the tags' numbers, at least one."""
         covariances_px2 = np.array([tag.covariance_px2 for tag in corners.values()])
         # Multiplied by these, corners have a deviation of one.
         scales, cautious = (
@@ -135,18 +142,20 @@ class PoseFinder:
         sides_px = [tag.px - np.roll(tag.px, 1, axis=0) for tag in corners.values()]
         most_px = ACCEPT.residual_sides * np.sqrt(2.0 * np.square(sides_px).mean())
         if not fits or not fits[0].pose.residual_px <= most_px:
-            return None, "the corners do not fit: is the tag bent or covered, is tag_layout right?"
+            text = "the corners do not fit: is the tag bent or covered, is tag_layout right?"
+            return Sighting(None, text)
         fit = self._choice(stamp_s, *fits)
         if fit is None:
-            return None, (
+            return Sighting(
+                None,
                 "the tag is seen so squarely that two poses fit: tilt it, bring it nearer, or "
-                "begin where it is seen at an angle"
+                "begin where it is seen at an angle",
             )
         problem = _inexact(fit)
         if problem:
-            return None, problem
-        self._last = (stamp_s, fit.pose.rotation)
-        return fit.pose, ""
+            return Sighting(None, problem)
+        self._certain = (stamp_s, fit.pose.rotation)
+        return Sighting(fit.pose)
 
     def _starts(
         self, corners: dict[int, Corners], matrix: np.ndarray
@@ -202,10 +211,11 @@ class PoseFinder:
         if second is None or _apart_rad(first, second.pose.rotation) < ACCEPT.same_rad:
             return first
         certain = second.chi2 - first.chi2 > ACCEPT.certain
-        if self._last is None or not 0.0 < stamp_s - self._last[0] <= ACCEPT.last_s:
+        last = self._certain
+        if last is None or not 0.0 < stamp_s - last[0] <= ACCEPT.last_s:
             return first if certain else None
-        reach_rad = 2.0 * ACCEPT.angle_rad + ACCEPT.rotation_rad_s * (stamp_s - self._last[0])
-        to_first, to_second = (_apart_rad(fit, self._last[1]) for fit in (first, second))
+        reach_rad = 2.0 * ACCEPT.angle_rad + ACCEPT.rotation_rad_s * (stamp_s - last[0])
+        to_first, to_second = (_apart_rad(fit, last[1]) for fit in (first, second))
         if to_second <= reach_rad < to_first:
             # A corner that is off can make the wrong one certain.
             return None if certain else second

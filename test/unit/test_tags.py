@@ -7,9 +7,9 @@ from cases import each
 from drawn_tags import SIZE_M, VGA, corners_px, draw, random_pose
 
 from fvs_detector_node.config import DetectorConfig
+from fvs_detector_node.detector import Sighting
 from fvs_detector_node.tag_corners import Corners, TagReader
-from fvs_detector_node.tag_detector import TagDetector
-from fvs_detector_node.tag_pose import PoseFinder
+from fvs_detector_node.tag_pose import TagDetector
 from fvs_detector_node.tags import Tag
 from fvs_ros.camera import CameraModel
 from fvs_tools import tag as program
@@ -96,7 +96,7 @@ def test_disturbed_images_are_read_as_exactly_as_the_covariance_says(disturbed, 
             continue
         off_px = seen[0].px - corners_px(rotation, position_m)
         deviations.append(np.sqrt(np.square(off_px).sum() / np.trace(seen[0].covariance_px2)))
-        pose, _ = PoseFinder(TAG).find(float(k), seen, VGA)
+        pose = TagDetector(DetectorConfig(tag=TAG)).find(float(k), seen, VGA).detection
         if pose is not None:
             poses += 1
             assert angle_rad(pose.rotation, rotation) < np.radians(5.0)  # no mirror image
@@ -133,11 +133,11 @@ def test_a_lens_that_nobody_declared_is_noticed_before_poses_are_off():
 
 def test_of_two_poses_that_fit_the_wrong_one_is_never_taken():
     rng = np.random.default_rng(1)
-    finder, unsure = PoseFinder(TAG), 0
+    finder, unsure = TagDetector(DetectorConfig(tag=TAG)), 0
     for k in range(1500):
         rotation, position_m = random_pose(rng)
         seen = {0: corners(corners_px(rotation, position_m), 0.1, rng)}
-        pose, _ = finder.find(float(k), seen, VGA)
+        pose = finder.find(float(k), seen, VGA).detection
         if pose is None:
             unsure += 1
             continue
@@ -147,11 +147,11 @@ def test_of_two_poses_that_fit_the_wrong_one_is_never_taken():
 
 
 def test_a_tag_seen_squarely_is_certain_only_after_a_view_at_an_angle():
-    finder, rng = PoseFinder(TAG), np.random.default_rng(2)
+    finder, rng = TagDetector(DetectorConfig(tag=TAG)), np.random.default_rng(2)
 
     def find(stamp_s, tilt_rad):
         seen = corners(corners_px(turned(tilt_rad), 1.5 * MIDDLE), 0.1, rng)
-        return finder.find(stamp_s, {0: seen}, VGA)[0]
+        return finder.find(stamp_s, {0: seen}, VGA).detection
 
     assert find(0.0, 0.2) is None
     for k, tilt_rad in enumerate(np.linspace(0.7, 0.2, 50)):
@@ -182,11 +182,12 @@ def test_a_body_of_tags_is_seen_more_exactly_and_survives_a_hidden_one(layout):
         if position_m[2] > 0.9 or np.abs(position_m[:2]).max() > 0.15:
             continue  # too small, or not all in the image
         for hidden, errors_m in off.items():
-            reader, finder = TagReader(tag), PoseFinder(tag)
+            reader, finder = TagReader(tag), TagDetector(DetectorConfig(tag=tag))
             seen, _ = reader.read(drawn_body(tag, rotation, position_m, rng, hidden))
-            pose, why = finder.find(0.0, seen, VGA) if seen else (None, "")
+            sighting = finder.find(0.0, seen, VGA) if seen else Sighting(None)
+            pose = sighting.detection
             if pose is None:
-                assert hidden or "two poses fit" in why
+                assert hidden or "two poses fit" in sighting.problem
                 continue
             several += len(seen) > 1
             assert angle_rad(pose.rotation, rotation) < 0.1  # no mirror image
@@ -200,7 +201,7 @@ def test_a_body_of_tags_is_seen_more_exactly_and_survives_a_hidden_one(layout):
 def test_a_wrong_layout_is_refused_for_good():
     """Nothing is learned from what is refused, or it would be taken for noise."""
     tag, rng = Tag(tag_size_m=SIZE_M, tag_layout="plate"), np.random.default_rng(6)
-    finder = PoseFinder(tag)
+    finder = TagDetector(DetectorConfig(tag=tag))
     for k in range(40):
         rotation, position_m = turned(0.5 + 0.01 * k), 0.7 * MIDDLE + [0.003 * k, 0.0, 0.0]
         seen = {
@@ -209,9 +210,9 @@ def test_a_wrong_layout_is_refused_for_good():
             )
             for number, face in tag.faces.items()
         }
-        pose, why = finder.find(k / 30.0, seen, VGA)
-        assert pose is None
-        assert "is tag_layout right" in why
+        sighting = finder.find(k / 30.0, seen, VGA)
+        assert sighting.detection is None
+        assert "is tag_layout right" in sighting.problem
 
 
 def test_the_tags_of_a_cube_are_its_print_folded_back():
