@@ -45,6 +45,13 @@ def test_a_lag_that_grows_is_followed_within_twenty_seconds():
     assert run(lag, 1, 0.1, 20.0).lag_s > 2.0 * 0.02 + 0.015
 
 
+def test_an_arm_that_is_stuck_lags_by_no_more_than_drives_do():
+    lag = DriveLag()
+    for tick in range(750):
+        lag.add(DT_S * tick, np.full(6, 0.5), np.zeros(6), compare=tick > 0)
+    assert 0.1 < lag.lag_s < 0.2
+
+
 LIMITS = JointLimits()
 MOST_RAD_S2 = LIMITS.max_joint_acceleration_rad_s2
 JACOBIAN = np.diag([0.5, 0.8, 1.0]) @ np.eye(3, 6)

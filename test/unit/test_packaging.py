@@ -37,13 +37,6 @@ def test_manifest_names_every_ros_package_that_is_imported():
     assert {name for path in files for name in pattern.findall(path.read_text("utf-8"))} <= declared
 
 
-def test_entry_points_exist(setup_arguments):
-    for script in setup_arguments["entry_points"]["console_scripts"]:
-        module, _, function = script.partition("=")[2].partition(":")
-        text = (ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
-        assert re.search(rf"^(def {function}\(|from .* import {function}$)", text, re.M), script
-
-
 def test_every_folder_and_shared_file_is_installed_where_it_lies(setup_arguments):
     folders = {path.parent for path in ROOT.glob("fvs_*/**/*.py")}
     packages = {".".join(folder.relative_to(ROOT).parts) for folder in folders}
