@@ -13,7 +13,6 @@ import yaml
 
 from fvs_ros.arguments import unknown
 from fvs_ros.kinds import Kind
-from fvs_ros.vectors import plausible
 from fvs_ros.yaml_text import read_yaml_file
 
 _HEAD = """\
@@ -121,9 +120,7 @@ class References:
         frame = entry.get(_FRAME)
         if not isinstance(frame, str):
             raise ValueError("frame is missing: object, or the camera's frame")
-        z = kind.parse(np.array([_number(entry, name) for name in kind.columns]))
-        if not plausible(kind.weights * z):
-            raise ValueError("it is too far away")
+        z = kind.checked(kind.parse(np.array([_number(entry, name) for name in kind.columns])))
         return Reference(z, frame, speed, _number(entry, _DEVIATION, 0.0))
 
 

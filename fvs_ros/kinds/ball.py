@@ -9,7 +9,6 @@ import numpy as np
 
 from fvs_ros.kinds.kind import Kind
 from fvs_ros.topics import kind_topics
-from fvs_ros.vectors import plausible
 
 
 @dataclass(frozen=True)
@@ -36,10 +35,8 @@ class Ball(Kind):
 
     def read(self, message: Any) -> np.ndarray:
         """Position of a ``PointStamped``, m, (3,)."""
-        position_m = np.array([message.point.x, message.point.y, message.point.z], dtype=float)
-        if not plausible(position_m):
-            raise ValueError(f"is not finite, or too far: {position_m.tolist()}")
-        return position_m
+        point = message.point
+        return self.checked(np.array([point.x, point.y, point.z], dtype=float))
 
     def write(self, message: Any, z: np.ndarray) -> None:
         """Fill in a ``PointStamped``."""

@@ -11,14 +11,14 @@ import numpy as np
 from fvs_ros.chain import cross_matrix
 from fvs_ros.params import Parameters
 from fvs_ros.topics import KindTopics
-from fvs_ros.vectors import length
+from fvs_ros.vectors import length, plausible
 
 
 @dataclass(frozen=True)
 class Kind(Parameters):
     """A measurement is m numbers z; a motion of it is a tangent vector of d lengths, m.
 
-    This class is the kind whose numbers are lengths themselves, so that z is a vector and d is m.
+    This class is the kind whose z is a vector, so that d is m; by default, of lengths.
     Other kinds override what differs, and declare their parameters.
 
     Attributes
@@ -71,7 +71,7 @@ class Kind(Parameters):
     @cached_property
     def weights(self) -> np.ndarray:
         """Length of a unit of each number of z, m, (m,)."""
-        return np.ones(len(self.axes))
+        return self.unit
 
     @property
     def numbers(self) -> int:
@@ -84,6 +84,12 @@ class Kind(Parameters):
         return len(self.axes)
 
     # ---- messages: any object with the fields of the message's type --------------------------
+
+    def checked(self, z: np.ndarray) -> np.ndarray:
+        """A measurement, (m,); a ``ValueError`` if it is not finite, or too far away."""
+        if not plausible(self.weights * z):
+            raise ValueError(f"is not finite, or too far: {z.tolist()}")
+        return z
 
     def read(self, message: Any) -> np.ndarray:
         """Measurement of a message of the topics ``tool`` and ``target``; not checked for size.
@@ -125,11 +131,11 @@ class Kind(Parameters):
 
         Near 180 degrees, the direction of rotation of a motion ``before`` is kept.
         """
-        return z - origin
+        return self.unit * (z - origin)
 
     def retract(self, z: np.ndarray, motion_m: np.ndarray) -> np.ndarray:
         """The measurement that a motion, m, (d,), leads to from z: the inverse of ``minus``."""
-        return z + motion_m
+        return z + motion_m / self.unit
 
     def moved_by(self, z: np.ndarray, angular: np.ndarray, linear_m: np.ndarray) -> np.ndarray:
         """Motions, m, (..., d, n), of z by n twists of space: ``v + w x p`` of a point p.

@@ -27,7 +27,7 @@ from fvs_ros.rotations import (
     vector_from_rotation_rad,
 )
 from fvs_ros.topics import kind_topics
-from fvs_ros.vectors import length, plausible
+from fvs_ros.vectors import length
 
 #: From here on noise may change which direction of rotation is the shorter one, rad.
 _HALF_TURN_RAD = 0.9 * pi
@@ -102,9 +102,7 @@ class Pose(Kind):
         return np.append(z[:3], quaternion_from_rotation(self.rotation(z)))
 
     def _of_numbers(self, position_m: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-        if not plausible(position_m):
-            raise ValueError(f"is not finite, or too far: {position_m.tolist()}")
-        return self.of_body(position_m, rotation_from_quaternion(quaternion))
+        return self.checked(self.of_body(position_m, rotation_from_quaternion(quaternion)))
 
     def minus(
         self, z: np.ndarray, origin: np.ndarray, before: np.ndarray | None = None
