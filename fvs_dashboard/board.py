@@ -17,6 +17,9 @@ from fvs_ros.status import SILENT, SILENT_S, number, vector
 HISTORY_S = 20.0
 #: The controller's parameter with the name of the reference.
 REFERENCE = f"{topics.CONTROLLER}/reference"
+#: The simulator's parameters of where the object is, in the robot's root link.
+OBJECT_POSITION = f"{topics.SIM}/object_position_m"
+OBJECT_ROTATION = f"{topics.SIM}/object_rotation_deg"
 #: Display time of the newest value by name, s.
 _SHOWN_S = {"feature": 0.5, "object": 0.5, "controller": SILENT_S, "detector": 2.0, "answer": 12.0}
 

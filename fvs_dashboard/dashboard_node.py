@@ -41,7 +41,13 @@ _CAMERA_ROTATION = f"{topics.SIM}/camera_rotation_deg"
 _ASKED = {
     topics.CONTROLLER: ("law", "max_joint_velocity_rad_s", "reference", "references_path"),
     topics.ESTIMATOR: ("method",),
-    topics.SIM: ("depth_noise", "latency_s"),
+    topics.SIM: (
+        "depth_noise",
+        "latency_s",
+        "object_tag_id",
+        "object_position_m",
+        "object_rotation_deg",
+    ),
 }
 #: With these a person takes over from the tour.
 _TAKES_OVER = ("target", "stop", "reset", "set_current_as_target", "go")

@@ -18,7 +18,7 @@ from fvs_ros.status import SILENT
 COLOURS = ("#56B4E9", "#E69F00", "#1FBF92", "#F0E442", "#E8702A", "#CC79A7")
 GREY = "#8A8F98"
 #: Titles of states that differ from their names; ``style.css`` has the colours.
-_TITLES = {"SERVOING": "Moving to target", "HOLDING": "Held", SILENT: "No controller"}
+_TITLES = {"SERVOING": "Moving", "HOLDING": "Held", SILENT: "No controller"}
 #: Time without a heartbeat after which the page reports that its program has ended, s.
 LOST_S = 5.0
 #: Inputs of the controller, and what a person calls them.

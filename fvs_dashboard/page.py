@@ -78,9 +78,9 @@ class Page:
         server.initial_camera.fov = 0.8
         self._shown = 0
 
-    def _dragged(self, target: tuple[float, ...]) -> None:
+    def _dragged(self, action: Action) -> None:
         self._panel.forget_typed()
-        self._act(Action("target", target))
+        self._act(action)
 
     @property
     def address(self) -> str:
@@ -241,7 +241,7 @@ class Panel:
             self._button("Go there", "go", self._name, color="blue", hint=hint)
             self._reference = gui.add_html("")
             gui.add_html(markup.LIST)
-            self._references = gui.add_button_group("Go to", ("",), visible=False)
+            self._references = gui.add_button_group("Go to", ("",), visible=False, hint=hint)
 
         @self._name.on_update
         async def _(event: viser.GuiEvent) -> None:

@@ -15,8 +15,9 @@ import yourdfpy
 from viser.extras import ViserUrdf
 from viser.transforms import SO3
 
-from fvs_dashboard.board import Board
+from fvs_dashboard.board import OBJECT_POSITION, OBJECT_ROTATION, Action, Board
 from fvs_dashboard.picture import TARGET_RGB
+from fvs_ros import topics
 from fvs_ros.kinds import Kind
 from fvs_ros.urdf import read_robot
 from fvs_sim_node.robot import find_meshes
@@ -34,8 +35,8 @@ LEGEND = (
 class Scene:
     """The content of the 3-D view; the camera's measurements are shown in its frame.
 
-    ``on_drag`` gets the target's position, camera frame, m, and its quaternion, w first, while it
-    is dragged or rotated and when let go.
+    ``on_drag`` gets an action while target or simulated object are dragged or rotated, and when let
+    go.
     """
 
     def __init__(
@@ -43,11 +44,11 @@ class Scene:
         server: viser.ViserServer,
         ball_radius_m: float,
         kind: Kind,
-        on_drag: Callable[[tuple[float, ...]], None],
+        on_drag: Callable[[Action], None],
     ) -> None:
         self._server, self._kind = server, kind
         self._on_drag = on_drag
-        self._held_s = -inf  # when a person last held the target
+        self._held_s = {"target": -inf, "object": -inf}  # when a person last held it
         self._arm: Arm | None = None
         self._robot: ViserUrdf | None = None
         self._add_surroundings()
@@ -71,10 +72,7 @@ class Scene:
         self._axes = scene.add_frame(
             "/camera/tag", axes_length=0.08, axes_radius=0.004, visible=False
         )
-        self._object = scene.add_frame(
-            "/camera/object", axes_length=0.08, axes_radius=0.003, visible=False
-        )
-        scene.add_box("/camera/object/plate", color=_OBJECT, dimensions=(0.08, 0.08, 0.004))
+        self._add_object()
         self._add_target(ball_radius_m)
 
     def _add_surroundings(self) -> None:
@@ -103,10 +101,27 @@ class Scene:
         @self._target.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
             # In the page's thread; assignments of numbers alone.
-            self._held_s = time.monotonic()
+            self._held_s["target"] = time.monotonic()
             if event.phase != "start":
                 numbers = (*event.target.position, *event.target.wxyz)
-                self._on_drag(tuple(float(number) for number in numbers))
+                self._on_drag(Action("target", tuple(float(number) for number in numbers)))
+
+    def _add_object(self) -> None:
+        scene = self._server.scene
+        # In the robot's root link, so that it is dragged along table and vertical.
+        self._object = scene.add_transform_controls(
+            "/object", scale=0.12, line_width=3.0, depth_test=False, visible=False
+        )
+        scene.add_box("/object/plate", color=_OBJECT, dimensions=(0.08, 0.08, 0.004))
+        scene.add_frame("/object/axes", axes_length=0.08, axes_radius=0.003)
+
+        @self._object.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            self._held_s["object"] = time.monotonic()
+            if event.phase != "start":
+                turned_deg = np.degrees(SO3(np.array(event.target.wxyz)).log())
+                self._on_drag(Action(OBJECT_POSITION, tuple(map(float, event.target.position))))
+                self._on_drag(Action(OBJECT_ROTATION, tuple(turned_deg.tolist())))
 
     def set_arm(self, arm: Arm) -> None:
         """Show another robot, or the first."""
@@ -130,15 +145,31 @@ class Scene:
             self._axes.wxyz = SO3.from_matrix(rotation).wxyz
             self._target.disable_rotations, self._target_axes.visible = False, True
         _put(self._axes, None if rotation is None else z[:3])
-        seen_object = board.newest("object", now_s)
-        _put(self._object, None if seen_object is None else seen_object[:3])
-        if rotation is not None and seen_object is not None:
-            self._object.wxyz = SO3.from_matrix(self._kind.rotation(seen_object)).wxyz
-        # After a drag it stays where it was dropped until the controller has answered.
-        if time.monotonic() - self._held_s > 0.6:
+        # After a drag they stay where they were dropped until the nodes have answered.
+        held_since_s = time.monotonic() - 0.6
+        if self._held_s["object"] < held_since_s:
+            self._show_object(board, now_s)
+        if self._held_s["target"] < held_since_s:
             _put(self._target, controller.target_m)
             if np.isfinite(controller.target_wxyz).all():
                 self._target.wxyz = controller.target_wxyz
+
+    def _show_object(self, board: Board, now_s: float) -> None:
+        """Show it as measured; a simulated one that is not seen, where the simulator put it."""
+        z, put = board.newest("object", now_s), board.parameter(*OBJECT_POSITION.split("/"))
+        simulated = put is not None and board.parameter(topics.SIM, "object_tag_id") >= 0
+        gizmo = self._object
+        gizmo.disable_axes = gizmo.disable_sliders = gizmo.disable_rotations = not simulated
+        rotation, position_m = SO3.identity(), None
+        if simulated:
+            turned_deg = board.parameter(*OBJECT_ROTATION.split("/"))
+            rotation, position_m = SO3.exp(np.radians(turned_deg)), np.array(put)
+        if z is not None:
+            camera, turned = SO3(np.array(self._camera.wxyz)), self._kind.rotation(z)
+            position_m = self._camera.position + camera @ z[:3]
+            rotation = rotation if turned is None else camera @ SO3.from_matrix(turned)
+        gizmo.wxyz = rotation.wxyz
+        _put(gizmo, position_m)
 
 
 def _set_pose(node: viser.SceneNodeHandle, pose: np.ndarray) -> None:

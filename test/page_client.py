@@ -11,7 +11,6 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 _COMPLETE_S = 20.0
-TARGET_NODE = "/camera/target"
 
 
 class PageClient:
@@ -104,18 +103,18 @@ class PageClient:
         self.elements[uuid]["value"] = value
         self._send(type="GuiUpdateMessage", uuid=uuid, updates={"value": value})
 
-    def drag_target(self, *positions: tuple[float, float, float]) -> None:
-        """Drag the target through positions in the camera's frame, m, and let it go."""
-        self._send(type="TransformControlsDragStartMessage", name=TARGET_NODE, owner="")
+    def drag(self, node: str, *positions: tuple[float, float, float]) -> None:
+        """Drag what the scene has under a name through positions, m, and let it go."""
+        self._send(type="TransformControlsDragStartMessage", name=node, owner="")
         for position in positions:
             self._send(
                 type="TransformControlsUpdateMessage",
-                name=TARGET_NODE,
+                name=node,
                 wxyz=(1.0, 0.0, 0.0, 0.0),
                 position=position,
                 owner="",
             )
-        self._send(type="TransformControlsDragEndMessage", name=TARGET_NODE, owner="")
+        self._send(type="TransformControlsDragEndMessage", name=node, owner="")
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Close the browser's window."""

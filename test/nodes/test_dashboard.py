@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[urdf]')")
 
 from harness import PlayedRobot
-from page_client import TARGET_NODE, PageClient
+from page_client import PageClient
 
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME, Intrinsics
@@ -32,6 +32,8 @@ PATIENT = {
     "stall_time_s": 60.0,
 }
 TARGET = "x, y, z (m)"
+#: In the scene.
+TARGET_NODE, OBJECT_NODE = "/camera/target", "/object"
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 
 
@@ -110,7 +112,7 @@ def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
     harness.spin_until(robot.moving, what="the arm to move")
     harness.spin_until(lambda: np.linalg.norm(robot.ball - target) < 0.005, what="the ball there")
     halfway, there = (tuple((robot.ball - [x, 0.0, 0.0]).tolist()) for x in (0.05, 0.1))
-    page.drag_target(halfway, there)
+    page.drag(TARGET_NODE, halfway, there)
     harness.spin_until(robot.moving, what="the arm to move again")
     page.press("Stop")
     harness.spin_until(robot.standing, what="zeros")
@@ -127,7 +129,7 @@ def test_a_controller_that_is_gone_shows_and_a_later_one_waits_for_a_target(ros_
     wait_for_state(harness, page, "SILENT")
     targets = harness.collect(PointStamped, Ball.topics.target.name, ros.QOS_RELIABLE)
     refusal = "not done: the controller is silent"
-    for wish in (lambda: page.press("Start"), lambda: page.drag_target((0.0, 0.1, 1.4))):
+    for wish in (lambda: page.press("Start"), lambda: page.drag(TARGET_NODE, (0.0, 0.1, 1.4))):
         before = harness.output(process).count(refusal)
         wish()
         harness.spin_until(lambda before=before: harness.output(process).count(refusal) > before)
@@ -187,7 +189,9 @@ def test_what_is_taught_on_the_page_is_gone_to_where_the_object_is(loop, tmp_pat
 
     harness.spin_until(there, 30.0, "the arm there", page.text)
     object_m += [0.0, -0.03, 0.0]
-    harness.spin_until(lambda: np.allclose(page.positions["/camera/object"], object_m), what="it")
+    x_m, y_m, z_m = object_m
+    drawn_m = 2.0 - z_m, x_m, 0.4 - y_m  # from a level camera, as long as its pose is not known
+    harness.spin_until(lambda: np.allclose(page.positions[OBJECT_NODE], drawn_m), what="it")
 
     def followed():
         return np.allclose(page.positions[TARGET_NODE], object_m + taught_m, atol=0.002)
@@ -228,7 +232,7 @@ def test_images_are_asked_for_only_while_a_browser_looks(loop, pages):
 
 def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros_test, pages):
     slow = {"joint_state_rate_hz": 50, "image_rate_hz": 15.0, "full_frame_rate_hz": 1.0}
-    parameters = {"port": 0, **slow, **PATIENT}
+    parameters = {"port": 0, "object_tag_id": 5, **slow, **PATIENT}
     arguments = (word for item in parameters.items() for word in ("-p", "{}:={}".format(*item)))
     process = ros_test.start("fvs_tools.launcher", "dashboard", *arguments)
     page = pages(address_of(ros_test, process))
@@ -255,16 +259,20 @@ def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros
     wait(lambda: bump["visible"], "the simulator's parameters")
     page.press("Bump the camera")
     page.set("Depth noise (×)", 2.5)
-    request = GetParameters.Request(names=["depth_noise", "camera_rotation_deg"])
+    beside = (0.4, 0.1, 0.05)
+    page.drag(OBJECT_NODE, beside)
+    names = ["depth_noise", "camera_rotation_deg", "object_position_m"]
+    request = GetParameters.Request(names=names)
 
     def disturbances():
         answer = ros_test.call(GetParameters, "fvs_sim_node/get_parameters", request)
-        noise, rotation = answer.values
-        return noise.double_value, any(rotation.double_array_value)
+        noise, rotation, position = answer.values
+        placed = tuple(position.double_array_value)
+        return noise.double_value, any(rotation.double_array_value), placed
 
-    wait(lambda: disturbances() == (2.5, True), "the disturbances")
+    wait(lambda: disturbances() == (2.5, True, beside), "the disturbances")
     page.press("Reset")
-    wait(lambda: disturbances() == (2.5, False) and away_rad() < 1e-3, "all as it began")
+    wait(lambda: disturbances() == (2.5, False, beside) and away_rad() < 1e-3, "all as it began")
     wait_for_state(ros_test, page, "READY")
 
 
