@@ -11,6 +11,8 @@ import numpy as np
 
 from fvs_ros.kinds import BodyConfig, Kind
 from fvs_ros.params import parameter
+from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
+from fvs_sim_node.config import SimConfig
 from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge, largest_part_m
 
 
@@ -28,6 +30,10 @@ class DemoConfig(BodyConfig):
     seed: int = parameter(0, "seed of the choice of targets", 0)
     distance_m: float = parameter(0.3, "wanted distance from one target to the next", 0.05, 1.0)
     target_s: float = parameter(4.0, "time given to each target", 1.0, 60.0)
+    relative: bool = parameter(
+        False,
+        "teach where the tool is, seen from the object; then the object jumps, not the target",
+    )
     output_dir: str = parameter("out/demo", "folder for the results and the figure")
 
 
@@ -35,6 +41,20 @@ PARAMETERS = DemoConfig.declared()
 
 #: Longest wait for the loop to be ready, s: all nodes may start on a busy machine.
 START_TIMEOUT_S = 30.0
+#: Farthest jump of an object along and across the table and up, m, and about its vertical, rad.
+_JUMP_M, _JUMP_RAD = np.array([0.12, 0.12, 0.05]), np.radians(30.0)
+
+
+def jump_of_object(rng: np.random.Generator) -> dict[str, list[float]]:
+    """Parameters of the simulator that put its object somewhere else."""
+    position_m = SimConfig.object_position_m + rng.uniform(-_JUMP_M, _JUMP_M)
+    home = rotation_from_vector(np.radians(SimConfig.object_rotation_deg))
+    about_vertical = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(-_JUMP_RAD, _JUMP_RAD)]))
+    rotation_rad = vector_from_rotation_rad(about_vertical @ home)
+    return {
+        "object_position_m": position_m.tolist(),
+        "object_rotation_deg": np.degrees(rotation_rad).tolist(),
+    }
 
 
 @dataclass

@@ -7,6 +7,7 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from fvs_estimator_node.files import load_model
 from fvs_ros import ros, topics
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.paths import find_file
+from fvs_ros.ros.services import Services
+from fvs_ros.vectors import length
 from fvs_tools import demo
 
 
@@ -40,8 +43,16 @@ class DemoNode(ros.FvsNode):
         self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
         self._target = self.publisher(kind.topics.target)
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
-        truth = kind.topics.truth
+        truth, object_truth = kind.topics.truth, kind.topics.object_truth
         self.watch(ros.message_class(truth.type), truth.name, self._on_truth, ros.QOS_EVERY)
+        self._chooses = True  # the next target, once the last one's time is over
+        self._taught: np.ndarray | None = None  # truly, in the object's frame
+        if config.relative:
+            self._tool: tuple[float, np.ndarray] | None = None  # newest truth, and its stamp
+            self._operator = Services(self, partial(print, flush=True))
+            self._asked_s, self._jumps = -np.inf, False
+            kind_of_message = ros.message_class(object_truth.type)
+            self.watch(kind_of_message, object_truth.name, self._on_object_truth, ros.QOS_EVERY)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         self.create_timer(0.1, self._poll, clock=self.steady_clock)
 
@@ -70,32 +81,73 @@ class DemoNode(ros.FvsNode):
             record.joints.append((moment_s, velocity))
 
     def _on_truth(self, message: Any) -> None:
+        stamp_s, z = self._read(message, self._kind.topics.truth)
+        if self._config.relative:
+            self._tool = stamp_s, z
+        else:
+            self._take(stamp_s, z)
+
+    def _on_object_truth(self, message: Any) -> None:
+        stamp_s, object_z = self._read(message, self._kind.topics.object_truth)
+        if self._tool is not None and self._tool[0] == stamp_s:
+            self._take(stamp_s, self._kind.relative(self._tool[1], object_z))
+
+    def _read(self, message: Any, topic: topics.Topic) -> tuple[float, np.ndarray]:
+        z = ros.from_feature(message, self._kind, self._config.feature_frame, topic.name)
+        return ros.from_stamp(message.header.stamp), z
+
+    def _take(self, stamp_s: float, z: np.ndarray) -> None:
+        """Take the truth, in the camera's or the object's frame."""
         if self.exit_code is not None:
             return
-        stamp_s = ros.from_stamp(message.header.stamp)
-        kind, frame = self._kind, self._config.feature_frame
-        z = ros.from_feature(message, kind, frame, kind.topics.truth.name)
-        if not self._records:
+        if self._chooses:
             # The controller lacks only a target: the loop is ready for the first one.
-            if self._wants_target:
+            if self._records or self._wants_target or self._taught is not None:
                 self._next_target(stamp_s, z)
             return
         record = self._records[-1]
         record.truths.append((stamp_s - record.start_s, z))
         if record.truths[-1][0] >= self._config.target_s:
             self._report(len(self._records), record)
-            if len(self._records) < self._config.targets:
-                self._next_target(stamp_s, z)
-            else:
+            self._chooses = len(self._records) < self._config.targets
+            if not self._chooses:
                 self._conclude()
 
     # --- the task ---
 
     def _next_target(self, stamp_s: float, z: np.ndarray) -> None:
         kind, config = self._kind, self._config
-        target = self._trained.target(z, config.distance_m, self._rng)
-        self._target.publish(ros.to_feature(stamp_s, config.feature_frame, kind, target))
-        self._records.append(demo.TargetRecord(kind, target, stamp_s, truths=[(0.0, z)]))
+        target = self._relative_target(z) if config.relative else self._absolute_target(stamp_s, z)
+        if target is not None:
+            self._chooses = False
+            self._records.append(demo.TargetRecord(kind, target, stamp_s, truths=[(0.0, z)]))
+
+    def _absolute_target(self, stamp_s: float, z: np.ndarray) -> np.ndarray:
+        target = self._trained.target(z, self._config.distance_m, self._rng)
+        frame = self._config.feature_frame
+        self._target.publish(ros.to_feature(stamp_s, frame, self._kind, target))
+        return target
+
+    def _relative_target(self, z: np.ndarray) -> np.ndarray | None:
+        """Teach first, then let the object jump; None until it has."""
+        now_s = self.steady_s()
+        if self._wants_target:
+            self._taught = z
+            if now_s - self._asked_s > 0.5:  # the images of a second come first
+                self._asked_s = now_s
+                self._operator.call(
+                    f"{topics.CONTROLLER}/teach", f"{topics.CONTROLLER}/go_to_reference"
+                )
+            return None
+        if not self._jumps:
+            self._jumps = True
+            for name, value in demo.jump_of_object(self._rng).items():
+                self._operator.set(f"{topics.SIM}/{name}", value)
+        assert self._taught is not None
+        if length(self._kind.minus(z, self._taught)) < 0.01:
+            return None
+        self._jumps = False
+        return self._taught
 
     def _report(self, number: int, record: demo.TargetRecord) -> None:
         score = record.score()

@@ -1,5 +1,7 @@
 """Teach and repeat with a real controller: the object comes from somebody else's tracker."""
 
+import json
+
 import numpy as np
 from geometry_msgs.msg import PointStamped
 from harness import PlayedRobot, Statuses
@@ -98,3 +100,13 @@ def test_the_program_teaches_and_goes_there(ros_test, tmp_path):
     assert "unknown reference 'place'" in words
     assert run("stop")[0] == 0
     kitchen.wait(lambda: kitchen.reason() == "READY", what="READY")
+
+
+def test_the_scenario_teaches_and_comes_again_where_the_object_has_jumped_to(ros_test):
+    few = "targets:=1", "target_s:=1.5", "image_rate_hz:=15.0", "object_tag_layout:=single"
+    arguments = (word for value in (*few, "output_dir:=out") for word in ("-p", value))
+    process = ros_test.start("fvs_tools.launcher", "teach", *arguments)
+    assert ros_test.wait(process, 120.0) == 0, ros_test.output(process)
+    (result,) = json.loads((ros_test.folder / "out" / "results.json").read_text())
+    assert result["start_distance_m"] > 0.05
+    assert result["final_rms_m"] < 0.003
