@@ -185,3 +185,38 @@ def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
     assert ros_test.stop(detector) == 0
     assert "Traceback" not in ros_test.output(detector)
     assert "other nodes are left to them: tf_prefix" in ros_test.output(detector)
+
+
+def test_tool_and_object_are_published_from_one_image_and_each_without_the_other(ros_test):
+    own = {
+        "tag_id": 7,
+        "tag_size_m": 0.06,
+        "object_tag_size_m": 0.06,
+        "object_tag_layout": "single",
+    }
+    ros_test.start_node(NODE, feature="pose", object_tag_id=10, **own)
+    watched, camera = Watched(ros_test), PlayedCamera(ros_test)
+    tools, objects = (
+        ros_test.collect(PoseStamped, topic.name)
+        for topic in (Pose.topics.tool, Pose.topics.object)
+    )
+    rotation = cv2.Rodrigues(np.array([0.5, 0.0, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
+
+    def assert_seen(numbers, *words):
+        tags = [(number, rotation, [0.12 * i - 0.12, 0.0, 0.5]) for i, number in enumerate(numbers)]
+        camera.rgb = drawn_tags.draw(tags, QVGA)
+        watched.wait_for(*words)
+        ros_test.spin_for(0.2)
+        published = numbers.count(7) == 1, numbers.count(10) == 1
+        tools.clear(), objects.clear()
+        ros_test.spin_until(lambda: max(len(tools), len(objects)) > 3)
+        assert (bool(tools), bool(objects)) == published
+
+    assert_seen([7, 10], "TRACKING", "tool_pose is published; object: object_pose is published")
+    stamps = [{str(message.header) for message in messages} for messages in (tools, objects)]
+    assert stamps[0] & stamps[1]
+    for messages, x in ((tools, -0.12), (objects, 0.0)):
+        assert np.linalg.norm(Pose().read(messages[-1])[:3] - [x, 0.0, 0.5]) < 5e-3
+    assert_seen([7, 11], "TRACKING", "object: tag 10 of", "seen are [7, 11]: is the number right?")
+    assert_seen([7, 10, 10], "TRACKING", "object: 2 tags have the number 10: cover all but one")
+    assert_seen([10], "LOST", "tag 7 of", "object: object_pose is published")

@@ -106,6 +106,30 @@ def test_images_are_rendered_for_subscribers_and_match_camera_info(ros_test):
     assert surface_m == pytest.approx(ball.z - 0.04, abs=0.02)
 
 
+def test_a_detector_sees_tool_and_object_and_the_object_jumps(ros_test):
+    own = {"feature": "pose", "object_tag_id": 10}
+    slow = {"joint_state_rate_hz": 50, "image_rate_hz": 5.0, "publish_ball_position": False}
+    ros_test.start_node(MODULE, simulated_time=True, **slow, **own)
+    ros_test.start_node("fvs_detector_node.node", use_sim_time=True, **own)
+    measured, true = (
+        [ros_test.collect(PoseStamped, topic.name) for topic in both]
+        for both in (
+            (Pose.topics.tool, Pose.topics.object),
+            (Pose.topics.truth, Pose.topics.object_truth),
+        )
+    )
+
+    def right():
+        pairs = [(a[-1], b[-1]) for a, b in zip(measured, true, strict=True) if a and b]
+        errors_m = [np.linalg.norm(Pose().minus(*map(Pose().read, pair))) for pair in pairs]
+        return len(errors_m) == 2 and max(errors_m) < 5e-3
+
+    ros_test.spin_until(right, what="tool and object where they are")
+    assert set_parameter(ros_test, "object_position_m", [0.4, 0.1, 0.1]).successful
+    ros_test.spin_until(lambda: not right(), what="the jump")
+    ros_test.spin_until(right, what="tool and object where they are")
+
+
 def test_a_viewer_learns_of_robot_and_camera_whenever_it_comes(ros_test):
     ros_test.start_node("fvs_sim_node.node", tf_prefix="left_")
     descriptions = ros_test.collect(String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED)

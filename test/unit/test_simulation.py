@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 from cases import each
 
+from fvs_detector_node.config import DetectorConfig
+from fvs_detector_node.detectors import make_detector, make_object_detector
+from fvs_ros.camera import CameraModel
 from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import Simulation
@@ -211,3 +214,39 @@ def test_belt_and_turntable_move_the_object_and_it_is_seen(make, feature):
         np.testing.assert_allclose(look.object_z, feature_of(simulation, look), atol=1e-12)
     simulation.place_object()
     assert np.linalg.norm(kind.minus(simulation.true_object(), steps[0])[:3]) < 1e-3
+
+
+@each("feature", ["ball", "pose"])
+def test_tool_and_object_are_found_in_one_image(make, feature):
+    simulation = make(feature=feature, object_tag_id=10)
+    simulation.full_frames, kind = True, simulation.kind
+    look, true = simulation.look(), (simulation.true_feature(), simulation.true_object())
+    config = DetectorConfig(feature=feature, object_tag_id=10)
+    for detector, measured, z in zip(
+        (make_detector(config), make_object_detector(config)),
+        (look.z, look.object_z),
+        true,
+        strict=True,
+    ):
+        seen = detector.detect(0.0, *look.frame, CameraModel(simulation.intrinsics)).detection
+        assert np.linalg.norm(kind.minus(measured, z)) < 5e-3
+        assert np.linalg.norm(kind.minus(kind.of_body(seen.position_m, seen.rotation), z)) < 5e-3
+
+
+@each("rendered", [True, False])
+def test_an_object_behind_the_tool_is_hidden_in_rendered_images_alone(make, rendered):
+    simulation = make(feature="pose", object_tag_id=10, rendered=rendered)
+    joints_rad = simulation.world.home_rad
+    joints_rad[0] = -0.6
+    simulation.reset(joints_rad)
+    look = simulation.look()
+    assert (look.object_z is None) is rendered
+    assert look.z is not None
+    change(simulation, object_position_m=(0.45, -2.0, 0.05))
+    simulation.place_object()
+    assert simulation.look().object_z is None  # out of view
+
+
+def test_an_object_with_the_tools_tag_is_refused():
+    with pytest.raises(ValueError, match="object_tag_id: tag 0 is on the tool"):
+        Simulation(SimConfig(feature="pose", object_tag_id=0))
