@@ -13,10 +13,12 @@ from __future__ import annotations
 
 from collections import deque
 from enum import Enum
+from functools import cache
 from math import inf
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
 from fvs_ros.filter import NoiseVariance
 from fvs_ros.kinds import Kind
@@ -25,9 +27,9 @@ from fvs_ros.vectors import length
 
 #: Least number of updates for a motion, and largest number kept.
 _LEAST, _MOST = 3, 64
-#: A polynomial term is significant above this multiple of the noise variance (mean square over the
-#: coordinates): noise alone exceeds it once in a hundred times.
-_SIGNIFICANT = 3.8
+#: A polynomial term is significant if noise exceeds it once in so many updates: every false one
+#: moves the arm.
+_ONCE_IN = 1e4
 #: Largest residual variance of a polynomial over the learned noise variance.
 _SCATTER = 2.0
 #: Least noise, m.
@@ -68,7 +70,7 @@ class TargetMotion:
 
     def __init__(self) -> None:
         self._updates: deque[tuple[float, np.ndarray]] = deque(maxlen=_MOST)
-        self.noise = NoiseVariance(3, _LEAST_NOISE_M)
+        self.noise = NoiseVariance(3, _LEAST_NOISE_M, pooled=False)
         self._curve: np.ndarray | None = None  # position, velocity, half the acceleration
         self._interval_s = 0.0  # between updates
         self._age_s = 0.0  # of the last one when it came
@@ -110,17 +112,19 @@ class TargetMotion:
             return
         times_s, places = map(np.array, zip(*self._updates, strict=True))
         since_s, last = times_s - now_s, self._updates[-1][1]
-        places = places - last  # identical updates then average to exactly the same position
-        least_doubt, curve, noise_m2 = np.inf, None, self.noise.variance_m2
+        deviation_m = self.noise.variance_m2**0.5
+        # Less the last: identical updates then average to exactly the same position.
+        places = (places - last) / deviation_m
+        least_doubt, curve = np.inf, None
         count = max(_WINDOW, int(np.sum(since_s >= -_WINDOW_S)))
         while curve is None or count < _LONGER * len(since_s):
             window = slice(-count, None)
-            fit, doubt = _polynomial(since_s[window], places[window], noise_m2)
+            fit, doubt = _polynomial(since_s[window], places[window])
             if curve is None or doubt < least_doubt:
                 least_doubt, curve = doubt, fit
             count = int(_LONGER * count)
-        curve[0] += last
-        self._curve = curve
+        self._curve = curve * deviation_m
+        self._curve[0] += last
         self._interval_s = float(np.diff(times_s[-_WINDOW:]).mean())
 
     def at(self, now_s: float) -> Target | None:
@@ -179,7 +183,7 @@ class FollowedPath:
     @property
     def noise_m(self) -> float:
         """Standard deviation of a coordinate of a measurement, as learned, m."""
-        return float(self._motion.noise.variance_m2**0.5)
+        return float(np.mean(self._motion.noise.variance_m2) ** 0.5)
 
     def add(self, z: np.ndarray, there_s: float = -inf, age_s: float = 0.0) -> Update:
         """Take a measurement, (m,); times as in :meth:`TargetMotion.update`."""
@@ -204,9 +208,7 @@ class FollowedPath:
         return z, now.position_m, now.velocity_m_s
 
 
-def _polynomial(
-    times_s: np.ndarray, places_m: np.ndarray, noise_m2: float
-) -> tuple[np.ndarray, float]:
+def _polynomial(times_s: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, float]:
     """Coefficients of the simplest polynomial, (terms, m), and its end's variance over the noise.
 
     If no polynomial fits within the noise: the highest one, and an infinite variance.
@@ -214,17 +216,23 @@ def _polynomial(
     count = len(times_s)
     most = min(3, count - 1)  # a parabola
     basis, factor = np.linalg.qr(np.vander(times_s, min(most + 1, count), increasing=True))
-    parts = basis.T @ places_m
+    parts = basis.T @ places
     # The parts are of orthonormal polynomials: where there is only noise, each has its variance.
-    sizes_m2 = (parts**2).mean(axis=1)
-    rest = places_m - basis[:, :most] @ parts[:most]
-    rest_m2 = float((rest**2).sum()) / (places_m.shape[1] * (count - most))
-    stands_out = np.flatnonzero(sizes_m2 > _SIGNIFICANT * max(noise_m2, rest_m2))
+    sizes = (parts**2).mean(axis=1)
+    rest = places - basis[:, :most] @ parts[:most]
+    scatter = float((rest**2).sum()) / (places.shape[1] * (count - most))
+    stands_out = np.flatnonzero(sizes > _significant(places.shape[1]) * max(1.0, scatter))
     terms = 1 + int(stands_out[-1]) if len(stands_out) else 1
-    explained = terms <= most and rest_m2 <= _SCATTER * noise_m2
+    explained = terms <= most and scatter <= _SCATTER
     used = slice(min(terms, most))
     curve = np.linalg.solve(factor[used, used], parts[used])
     return curve, float((basis[-1, used] ** 2).sum()) if explained else np.inf
+
+
+@cache
+def _significant(d: int) -> float:
+    """The mean square of d coordinates of noise, over its variance, that is that rare."""
+    return float(chi2.isf(1.0 / _ONCE_IN, d)) / d
 
 
 def on_own_clock(stamp_s: float, now_s: float) -> float:

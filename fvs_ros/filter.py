@@ -79,12 +79,19 @@ class NoiseVariance:
         Of the difference.
     least_m : float
         Least standard deviation, m.
+    pooled : bool
+        Whether all coordinates have the same variance.
+
+    Attributes
+    ----------
+    variance_m2 : ndarray, shape (1,) or (d,)
+        Of each coordinate, or of all, m^2.
     """
 
-    def __init__(self, order: int = 2, least_m: float = _LEAST_M) -> None:
-        self.variance_m2 = _MOST_M**2
-        self._order, self._least_m2 = order, least_m**2
-        self._variances_m2: deque[float] = deque(maxlen=_WINDOW)  # one of each difference
+    def __init__(self, order: int = 2, least_m: float = _LEAST_M, pooled: bool = True) -> None:
+        self.variance_m2 = np.array([_MOST_M**2])
+        self._order, self._least_m2, self._pooled = order, least_m**2, pooled
+        self._variances_m2: deque[np.ndarray] = deque(maxlen=_WINDOW)  # of each difference
         self._last: deque[tuple[float, np.ndarray]] = deque(maxlen=order + 1)
 
     def restart(self) -> None:
@@ -101,16 +108,16 @@ class NoiseVariance:
         np.fill_diagonal(apart_s, 1.0)
         weights = 1.0 / apart_s.prod(axis=1)
         difference = weights @ points_m
-        d = len(difference)
+        d = len(difference) if self._pooled else 1
+        squares = np.array([difference.dot(difference)]) if self._pooled else difference**2
+        squares = squares / weights.dot(weights)
         spread = 2.0 / (9.0 * d)
         quartile = d * (1.0 - spread + _QUARTILE * spread**0.5) ** 3
         if not self._variances_m2:
-            self._variances_m2.extend([self.variance_m2] * _GUESS)
-        self._variances_m2.append(
-            float(difference.dot(difference) / weights.dot(weights)) / quartile
-        )
-        variance_m2 = sorted(self._variances_m2)[len(self._variances_m2) // 4]
-        self.variance_m2 = min(max(variance_m2, self._least_m2), _MOST_M**2)
+            self._variances_m2.extend([np.full_like(squares, _MOST_M**2)] * _GUESS)
+        self._variances_m2.append(squares / quartile)
+        variance_m2 = np.sort(self._variances_m2, axis=0)[len(self._variances_m2) // 4]
+        self.variance_m2 = np.clip(variance_m2, self._least_m2, _MOST_M**2)
 
 
 class PathFilter:
@@ -154,7 +161,7 @@ class PathFilter:
     @property
     def noise_m(self) -> float:
         """Standard deviation of a coordinate of an image, as learned, m."""
-        return float(self.noise.variance_m2**0.5)
+        return float(self.noise.variance_m2[0] ** 0.5)
 
     @property
     def deviation_m(self) -> float:
@@ -180,7 +187,7 @@ class PathFilter:
         self.x = self.x + motion
         self._c = self._c + motion
         innovation = image.seen_m - self.x
-        R, predicted_m2 = self.noise.variance_m2, self._predicted_m2()
+        R, predicted_m2 = float(self.noise.variance_m2[0]), self._predicted_m2()
         S = predicted_m2 + R
         off_m = (float(innovation.dot(innovation)) / len(innovation)) ** 0.5
         if off_m <= OUTLIER * S**0.5 + GATE_M:
@@ -216,7 +223,7 @@ class PathFilter:
         self.x, self.moved_m = image.seen_m.copy(), image.moved_m
         for accepted in images:
             self.noise.add(accepted.stamp_s, accepted.seen_m - accepted.moved_m)
-        self._P = self.noise.variance_m2
+        self._P = float(self.noise.variance_m2[0])
         self._c = np.zeros_like(image.seen_m)
         self._mean = np.zeros_like(image.seen_m)
         return list(images)

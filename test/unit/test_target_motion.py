@@ -44,3 +44,18 @@ def test_what_no_motion_goes_on_to_is_a_new_target(position, after_s):
         motion.update(START, float(time_s))
     assert motion.update(position, last_s + after_s) is Update.NEW
     assert motion.at(last_s + after_s + 0.01) is None
+
+
+def test_a_target_at_rest_is_none_that_moves_although_its_noise_is_correlated():
+    """As beside a tag: what the tag's turning adds to a place at a distance, and its arc."""
+    motion, generator = TargetMotion(), np.random.default_rng(0)
+    turns_rad = 1e-3 * generator.standard_normal((600, 3)) * [0.5, 0.7, 0.2]
+    path_m = np.hstack([np.cross(turns_rad, [0.2, 0.16, -0.06]), 0.3 * turns_rad])
+    path_m += 1e-5 * generator.standard_normal(path_m.shape)
+    targets = []
+    for count, position_m in enumerate(path_m):
+        motion.update(position_m, count / 30)
+        targets.append(motion.at(count / 30 + 0.01))
+    assert sum(target.velocity_m_s.any() for target in targets[5:]) < 3
+    errors_m = np.array([target.position_m for target in targets[60:]])
+    assert np.all(errors_m.std(axis=0) < 0.25 * path_m.std(axis=0))
