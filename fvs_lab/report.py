@@ -21,6 +21,7 @@ EXPERIMENTS = {
     "calibration": "The camera in the arm's frame, beside the classic hand-eye solvers.",
     "arms": "Arms by other authors: learned from a minute of motion and servoed.",
     "pose": "The pose of a tag: every scheme, images, and a calibrated camera.",
+    "relative": "Teach and repeat relative to an object, beside calibrated cameras.",
     "everyday": "500 everyday worlds: noise, latency, lost images, a camera moved before.",
     "tags": "The same for the pose of a tag.",
     "robustness": "500 harsh worlds: more of everything, and a camera bumped in motion.",

@@ -188,6 +188,7 @@ METRICS = {
     "speed_m_s": Metric("speed, m/s"),
     "rest_m": Metric("final position, mm", 1e3),
     "rest_deg": Metric("final angle, °", 1.0, 3),
+    "good": Metric("within 1 mm and 0.3°"),
     "rms_m": Metric("distance from the target, mm rms", 1e3),
     "position_m": Metric("position, mm", 1e3),
     "angle_deg": Metric("angle, °", 1.0, 3),
@@ -219,8 +220,8 @@ class Table:
     """Declaration of a table: a row per group of runs with the same values in some columns.
 
     Columns are summed up by their median with its interval, or by what stands after a colon:
-    ``half`` is the median alone, ``90 %`` and ``largest`` are runs, ``of`` counts those that are
-    true, ``causes`` counts each text. A cell is ``-`` where there is nothing.
+    ``half`` is the median alone, ``90 %``, ``95 %`` and ``largest`` are runs, ``of`` counts those
+    that are true, ``causes`` counts each text. A cell is ``-`` where there is nothing.
     """
 
     #: Its caption is the template's macro ``table_NAME``.
@@ -240,7 +241,7 @@ class Table:
             row = {label_of(name): number_text(group.rows[0][name]) for name in self.by}
             for value, column in product(values, self.columns):
                 name, _, how = column.partition(":")
-                header = label_of(name) + (f", {how}" if how in ("90 %", "largest") else "")
+                header = label_of(name) + (f", {how}" if how in ("90 %", "95 %", "largest") else "")
                 if self.across:
                     header = f"{value}: {header}" if len(self.columns) > 1 else str(value)
                 cell = group.where(**{self.across: value}) if self.across else group
@@ -262,6 +263,6 @@ def _cell(runs: Results, name: str, how: str) -> str:
     if not how:
         return runs.median(name).text(metric.digits, metric.factor)
     # A run itself, as nothing lies between a time and never.
-    part = {"90 %": 0.9, "largest": 1.0}.get(how)
+    part = {"90 %": 0.9, "95 %": 0.95, "largest": 1.0}.get(how)
     value = runs.median(name).value if part is None else np.quantile(values, part, method="higher")
     return number_text(metric.factor * float(value), metric.digits)

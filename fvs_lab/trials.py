@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import islice, product
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command
-from fvs_detector_node.tags import Tag
 from fvs_estimator_node.base import Estimator
 from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.track import Track
@@ -65,6 +64,8 @@ class Conditions(SimConfig):
     The simulator's parameters, and what only the laboratory changes.
     """
 
+    simulation: ClassVar[type[Simulation]] = Simulation
+
     #: Further noise on each coordinate, m, and its stability exponent; 2 for white noise.
     position_noise_m: float = 0.001
     noise_exponent: float = 2.0
@@ -93,7 +94,15 @@ def _carried_camera(rotation_rad: np.ndarray, distance_m: float) -> RigidPose:
 
 def simulation_of(conditions: Conditions) -> Simulation:
     """The process's simulation, put under these conditions; to be reset before use."""
-    simulation = _build(conditions.physics_rate_hz, conditions.feature, conditions.tag)
+    config = SimConfig(
+        physics_rate_hz=conditions.physics_rate_hz,
+        feature=conditions.feature,
+        tag=conditions.tag,
+        object_tag_id=conditions.object_tag_id,
+        object_tag_size_m=conditions.object_tag_size_m,
+        object_tag_layout=conditions.object_tag_layout,
+    )
+    simulation = _build(type(conditions), config)  # type: ignore[arg-type]
     carried_rad = np.radians(conditions.camera_carried_deg)
     camera = _carried_camera(carried_rad, conditions.camera_distance_m)
     simulation.configure(replace(conditions, camera_pose=camera))
@@ -104,8 +113,8 @@ def simulation_of(conditions: Conditions) -> Simulation:
 
 
 @lru_cache(maxsize=4)
-def _build(physics_rate_hz: float, feature: str, tag: Tag) -> Simulation:
-    return Simulation(SimConfig(feature=feature, physics_rate_hz=physics_rate_hz, tag=tag))
+def _build(conditions: type[Conditions], config: SimConfig) -> Simulation:
+    return conditions.simulation(config)
 
 
 @dataclass(frozen=True)
