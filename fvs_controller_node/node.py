@@ -8,7 +8,6 @@ stop.listen()
 
 import sys
 from collections import deque
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -188,7 +187,7 @@ class ControllerNode(ros.FvsNode):
         return accepted, text
 
     def _references(self) -> References:
-        return References(Path(self.values["references_path"]).expanduser(), self._kind)
+        return References(self.values["references_path"], self._kind)
 
     def _teach(self) -> tuple[bool, str]:
         name, references = self.values["reference"], self._references()

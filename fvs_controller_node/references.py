@@ -40,14 +40,15 @@ class References:
 
     Parameters
     ----------
-    path : Path
-        The file; it is read at every use, since people edit it.
+    path : str
+        The file, which may begin with ~; it is read at every use, since people edit it.
     kind : Kind
         What is servoed.
     """
 
-    def __init__(self, path: Path, kind: Kind) -> None:
-        self.path, self._kind = path, kind
+    def __init__(self, path: str, kind: Kind) -> None:
+        # Unlike Path.expanduser, this leaves the ~ of an unknown user.
+        self.path, self._kind = Path(os.path.expanduser(path)), kind
 
     def get(self, name: str) -> Reference:
         """A reference; a ``ValueError`` says why there is none that can be used."""

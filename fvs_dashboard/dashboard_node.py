@@ -69,7 +69,7 @@ class DashboardNode(ros.FvsNode):
         # Actions trigger a callback: polling at 30 Hz took 3 % of a core.
         self._wake = self.create_guard_condition(self._act)
         self._description = ""
-        self._references_read: tuple[Path, int | None] | None = None  # file, and when written
+        self._references_read: tuple[Path, int] | None = None  # file, and when written
         self._calls = Services(self, self._answer)
         self._cameras: list[ros.Sampled] = []  # while a browser shows the page
         self._board.tour = self._config.tour
@@ -219,15 +219,17 @@ class DashboardNode(ros.FvsNode):
             self._calls.ask(node, parameters, partial(self._board.parameters.__setitem__, node))
         path = self._board.parameter(topics.CONTROLLER, "references_path")
         if isinstance(path, str):
-            self._look_at_references(Path(path).expanduser())
+            self._look_at_references(References(path, self._kind))
 
-    def _look_at_references(self, path: Path) -> None:
+    def _look_at_references(self, references: References) -> None:
         """Read them if their file changed, in a thread: a long file must not delay a stop."""
-        board, written = self._board, path.stat().st_mtime_ns if path.exists() else None
+        board, path, written = self._board, references.path, 0
+        with suppress(OSError, ValueError):  # no such file, or no name of one
+            written = path.stat().st_mtime_ns
 
         def read() -> None:
             try:
-                board.references = References(path, self._kind).entries()
+                board.references = references.entries()
                 board.references_problem = "" if written else f"nothing is taught in {path} yet"
             except ValueError as error:
                 board.references, board.references_problem = {}, str(error)

@@ -17,7 +17,7 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> str:
     """Refusal of an unknown name, with the nearest known one and all of them."""
     names = list(known)
     meant = did_you_mean(name, names)
-    return f"unknown {kind} '{name[:_QUOTED]}'; {meant}known are {', '.join(names)}"
+    return f"unknown {kind} '{name[:_QUOTED]}'; {meant}known are {', '.join(names) or 'none'}"
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -57,3 +57,9 @@ def test_a_damaged_file_is_not_overwritten(tmp_path):
     with pytest.raises(ValueError, match="cannot be read"):
         References(path, POSE).keep("grasp", Reference(Z, "object"))
     assert path.read_text() == "[1, 2"
+
+
+@each("path", ["~nobody-is-called-so/r.yaml", "no\0name", ""])
+def test_a_path_that_cannot_be_is_refused(path):
+    with pytest.raises(ValueError, match=r"none|null|directory"):
+        References(path, POSE).get("grasp")
