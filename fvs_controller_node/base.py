@@ -99,12 +99,5 @@ class ControlLaw(ABC):
     def command(self, state: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
 
-    def settling_bound_s(self, error_m: np.ndarray) -> float | None:
-        """Longest time from rest at an error, m, shape (d,), to zero, without speed limits, s.
-
-        None for a law that makes no such promise.
-        """
-        return None
-
     def reset(self) -> None:  # noqa: B027  (a law without memory has nothing to forget)
         """Forget the past: called at every tick that does not servo."""

@@ -17,7 +17,6 @@ from math import copysign, sqrt
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
-from fvs_controller_node.settling import settling_time_s
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_ros.params import Parameters, live_parameter
 from fvs_ros.vectors import length
@@ -124,14 +123,6 @@ class FtsmLaw(ControlLaw):
     def reset(self) -> None:
         """Forget the last velocity (only the literal form remembers one)."""
         self._last_velocity = None
-
-    def settling_bound_s(self, error_m: np.ndarray) -> float | None:
-        """Eqs. (36)-(39) as corrected: reaching plus sliding time of the slowest component."""
-        straight, gains = self.gains.ftsm_path == STRAIGHT, self.gains
-        errors = [_toward(error_m)[0]] if straight else error_m.tolist()
-        if gains.discretisation == LITERAL or max(map(abs, errors)) >= 1.0:
-            return None
-        return max(settling_time_s(y0, gains.surface, gains.reaching) for y0 in errors)
 
     def command(self, state: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""

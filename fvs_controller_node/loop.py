@@ -17,7 +17,6 @@ from fvs_controller_node.config import ControllerConfig, SupervisorConfig, defau
 from fvs_controller_node.drive_lag import DriveLag, brake
 from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES, OBJECT
 from fvs_controller_node.reasons import Finding, Reason, State
-from fvs_controller_node.redundancy import make_inverse
 from fvs_controller_node.references import Reference
 from fvs_controller_node.relation import OBJECT_FRAME, Relation, Teacher
 from fvs_controller_node.supervisor import Command, Present, Supervisor, checked
@@ -83,10 +82,9 @@ class ServoLoop:
     def configure(self, values: Mapping[str, Any]) -> None:
         """Take over changed values while running; nothing changes if one is refused."""
         law = make_law(values)
-        inverse = make_inverse(values, least_speed=law.plans)
         own = ControllerConfig.from_values(values)
         self.supervisor.configure(SupervisorConfig.from_values(values))
-        self.law, self._inverse, self._feeds_forward = law, inverse, own.target_feed_forward
+        self.law, self._feeds_forward = law, own.target_feed_forward
         # What is learned is the lag of velocities; a position drive may take longer.
         self._least_lag_s = LONGEST_LAG_S if own.command_interface == POSITION else 0.0
         self._following.restart()  # a range may count for another length now
@@ -324,7 +322,9 @@ class ServoLoop:
         velocity_m_s = goal.velocity_m_s
         if self._feeds_forward and velocity_m_s is not None and velocity_m_s.any():
             error_m = error_m - self._drive_lag.lag_s * velocity_m_s
-            feed_forward = self._inverse.joint_velocity(jacobian, velocity_m_s, joints, self._home)
+            feed_forward = self.law.inverse.joint_velocity(
+                jacobian, velocity_m_s, joints, self._home
+            )
             applied = applied - feed_forward
         state = ControlInput(
             error_m=error_m,
@@ -346,15 +346,12 @@ class ServoLoop:
         return output
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
-        """Return the supervisor's key numbers, the images' latency, the law's settling bound."""
+        """Return the supervisor's key numbers, and the images' latency."""
         latency_s = self.track.latency_s
-        error_m = self.supervisor.goal.error_m
-        bound_s = None if error_m is None else self.law.settling_bound_s(error_m)
         return {
             **self.supervisor.status_values(now_s),
             "image_latency_s": float("nan") if latency_s is None else latency_s,
             "position_noise_m": self.track.filter.noise_m,
             "position_deviation_m": self.track.filter.deviation_m,
             "drive_lag_s": self._drive_lag.lag_s,
-            "settling_bound_without_limits_s": float("nan") if bound_s is None else bound_s,
         }

@@ -300,15 +300,9 @@ class Supervisor:
             "prediction_error_ratio": nan if verdict is None else verdict.error_ratio,
             **self.inputs.status_values(now_s),
         }
-        vectors = {
-            "target_{}_m": self.goal.target,
-            "position_{}_m": self.goal.z,
-            "exponent_{}": None if last.output is None else last.output.exponent,
-        }
-        for name, vector in vectors.items():
-            size = config.kind.box_size if name.endswith("_m") else config.kind.size
-            for i, axis in enumerate(config.kind.axes[:size]):
-                values[name.format(axis)] = nan if vector is None else float(vector[i])
+        for name, z in (("target", self.goal.target), ("position", self.goal.z)):
+            for i, axis in enumerate(config.kind.axes[: config.kind.box_size]):
+                values[f"{name}_{axis}_m"] = nan if z is None else float(z[i])
         target, columns = self.goal.target, config.kind.columns
         for i in range(config.kind.box_size, len(columns)):  # its orientation
             number = nan if target is None else float(config.kind.columns_of(target)[i])

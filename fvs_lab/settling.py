@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import log
+from itertools import pairwise
+from math import log, log1p
 from typing import Any
 
 import numpy as np
+from scipy.integrate import quad
 
 from fvs_controller_node.config import default_values, make_law
 from fvs_controller_node.ftsm import FtsmLaw
-from fvs_controller_node.settling import reaching_time_s
-from fvs_controller_node.surface import SlidingSurface
+from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_lab import experiment as lab
 from fvs_lab.contestants import FREE
 from fvs_lab.results import Results
@@ -51,23 +52,43 @@ def planned(cases: Sequence[Case]) -> Iterator[Trial]:
         yield from crossed([oracle], cases[number :: len(GAINS)])
 
 
-def printed_sliding_time_s(y0: float, surface: SlidingSurface) -> float:
-    """Sliding time of an axis by (36)-(39) as printed, s; negative where alpha2 < alpha3.
+def reaching_time_s(s0: float, law: ReachingLaw) -> float:
+    """Time in which k4 s' = -k1 s - k2 |s|^(2 sigma - 1) sgn s brings s0 to zero, s."""
+    p = 2.0 - 2.0 * law.sigma
+    return law.k4 / (law.k1 * p) * log1p(law.k1 * abs(s0) ** p / law.k2)
 
-    ``a1 ln[|y|^(g-1) / (|y|^(g-1) + a2/a3)] / ((g - 1) (a2 - a3))``, summed over the exponent's two
-    values.
+
+def sliding_time_s(y0: float, surface: SlidingSurface) -> float:
+    """Time to slide from an error, m, to zero without speed limits, s: (36)-(39) as corrected.
+
+    The integral of dt = a1 dy / (a2 y + a3 y^g(y)) over z = y^(1 - g(0)), which is regular at 0.
     """
+    near = surface.exponent(0.0)
+    p = 1.0 - near
 
-    def time_s(y: float, gamma: float) -> float:
-        a2, a3 = surface.alpha2, surface.alpha3
-        power = abs(y) ** (gamma - 1.0)
-        return surface.alpha1 * log(power / (power + a2 / a3)) / ((gamma - 1.0) * (a2 - a3))
+    def pace(z: float) -> float:
+        y = z ** (1.0 / p)
+        attractor = surface.alpha3 * y ** (surface.exponent(y) - near)
+        return surface.alpha1 / (p * (surface.alpha2 * z + attractor))
 
+    ends = [0.0, min(surface.switch_error_m, abs(y0)) ** p, abs(y0) ** p]
+    return float(sum(quad(pace, *pair)[0] for pair in pairwise(ends)))
+
+
+def printed_time_s(y: float, gamma: float, surface: SlidingSurface) -> float:
+    """The right side of (36), (37) and (39) as printed, s; negative where alpha2 < alpha3."""
+    a2, a3 = surface.alpha2, surface.alpha3
+    power = abs(y) ** (gamma - 1.0)
+    return surface.alpha1 * log(power / (power + a2 / a3)) / ((gamma - 1.0) * (a2 - a3))
+
+
+def printed_sliding_time_s(y0: float, surface: SlidingSurface) -> float:
+    """Sliding time of an axis as printed, s: the sum over the exponent's two values."""
     near = surface.exponent(0.0)
     if abs(y0) <= surface.switch_error_m:
-        return time_s(y0, near)
+        return printed_time_s(y0, near, surface)
     far = surface.lambda1 - surface.lambda2
-    return time_s(y0, far) + time_s(surface.switch_error_m, near)
+    return printed_time_s(y0, far, surface) + printed_time_s(surface.switch_error_m, near, surface)
 
 
 def promised(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,9 +102,12 @@ def promised(row: Mapping[str, Any]) -> dict[str, Any]:
     surface, reaching_law = law.gains.surface, law.gains.reaching
     error_m = row["series"]["feature_m"][0] - np.array(row["target_m"])
     reaching = [reaching_time_s(surface.value(y, 0.0), reaching_law) for y in error_m]
-    printed = [printed_sliding_time_s(y, surface) for y in error_m.tolist()]
-    bound_s = law.settling_bound_s(error_m)
-    printed_s = max(a + b for a, b in zip(reaching, printed, strict=True))
+    sliding, printed = (
+        [time_s(y, surface) for y in error_m.tolist()]
+        for time_s in (sliding_time_s, printed_sliding_time_s)
+    )
+    # Until the surface is reached the error does not grow.
+    bound_s, printed_s = (float(np.add(reaching, times).max()) for times in (sliding, printed))
     return {
         "excluded": over_ramp(row),
         "bound_s": bound_s,
