@@ -8,6 +8,9 @@ from lock_step import EXACT_POSE, GOAL_RAD, START_RAD, feature_at, loop_from
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.relation import OBJECT_FRAME
 from fvs_lab.trials import Conditions, simulation_of
+from fvs_sim_node.config import SimConfig
+from fvs_sim_node.simulation import Simulation
+from fvs_tools.closed_loop import ClosedLoop
 
 KINDS = {
     "ball": Conditions(rendered=False, position_noise_m=3e-4),
@@ -141,3 +144,20 @@ def test_teaching_refuses_what_moves(scene):
     scene.run(0.5)
     with pytest.raises(ValueError, match="moved by"):
         scene.loop.loop.teach()
+
+
+@each("feature", KINDS)
+def test_the_loop_follows_the_simulators_object_on_a_belt(feature):
+    moving = {"object_tag_id": 10, "object_velocity_m_s": (0.0, 0.05, 0.0)}
+    conditions = {"rendered": False, "position_noise_m": 3e-4}
+    simulation = Simulation(SimConfig(feature=feature, **moving, **conditions))
+    loop = ClosedLoop.of_scheme("best", simulation)
+    kind = loop.kind
+    relative = kind.relative(simulation.true_feature(), simulation.true_object())
+    loop.run(0.2)
+    accepted, text = loop.loop.add_target(relative, OBJECT_FRAME)
+    assert accepted, text
+    loop.run(1.5)
+    target = kind.absolute(relative, simulation.true_object())
+    assert np.linalg.norm(kind.minus(simulation.true_feature(), target)) < 3e-3
+    simulation.close()
