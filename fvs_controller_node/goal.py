@@ -9,7 +9,7 @@ import numpy as np
 
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import Finding, Reason
-from fvs_controller_node.target_motion import FollowedPath, Update
+from fvs_controller_node.target_motion import TargetMotion, Update
 from fvs_ros.filter import GATE_M, OUTLIER
 from fvs_ros.vectors import length
 
@@ -134,7 +134,7 @@ class Goal:
     def __init__(self, config: SupervisorConfig) -> None:
         self._config = config
         self.progress = Progress()  #: of the error since the start, or since another target
-        self._followed = FollowedPath(config.kind)
+        self._followed = TargetMotion(config.kind)
         self._now_m = self._followed.path_m  # the path up to the target now
         self.moving = False  #: whether the target that was set last continues a motion
         self.target: np.ndarray | None = None  #: the target now, (m,)

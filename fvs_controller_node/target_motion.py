@@ -15,7 +15,7 @@ from collections import deque
 from enum import Enum
 from functools import cache
 from math import inf
-from typing import NamedTuple
+from operator import itemgetter
 
 import numpy as np
 from scipy.stats import chi2
@@ -53,105 +53,7 @@ class Update(Enum):
     OVERTAKEN = "older than the last one of the same motion"
 
 
-class Target(NamedTuple):
-    """Where a target is on its path, m, (d,), and its velocity, m/s, (d,)."""
-
-    position_m: np.ndarray
-    velocity_m_s: np.ndarray
-
-
-def continues(step_m: np.ndarray, passed_s: float) -> bool:
-    """Whether a target that made this step, m, (m,), in this time, s, is on its way."""
-    return -_OWN_CLOCK_S < passed_s < MAX_GAP_S and length(step_m) < _JUMP_M
-
-
 class TargetMotion:
-    """The target's motion over time."""
-
-    def __init__(self) -> None:
-        self._updates: deque[tuple[float, np.ndarray]] = deque(maxlen=_MOST)
-        self.noise = NoiseVariance(3, _LEAST_NOISE_M, pooled=False)
-        self._curve: np.ndarray | None = None  # position, velocity, half the acceleration
-        self._interval_s = 0.0  # between updates
-        self._age_s = 0.0  # of the last one when it came
-
-    def restart(self) -> None:
-        """Forget the target, but keep the learned noise."""
-        self._updates.clear()
-        self._curve = None
-        self.noise.restart()
-
-    def update(self, position_m: np.ndarray, now_s: float = -inf, age_s: float = 0.0) -> Update:
-        """Take an update: position on its path, m, (d,), its time, s, and the message's age, s.
-
-        A time of minus infinity sets a fixed target.
-        """
-        position = np.array(position_m, dtype=float)
-        last_s, last = self._updates[-1] if self._updates else (-inf, position)
-        if now_s == -inf or not continues(position - last, now_s - last_s):
-            self.restart()
-            self._updates.append((now_s, position))
-            return Update.NEW
-        if now_s < last_s:
-            return Update.OVERTAKEN
-        # Joint states, whose stamps may be the clock, can be rarer than updates.
-        again = now_s == last_s
-        if again:
-            self._updates.pop()
-        self._updates.append((now_s, position))
-        if not again:
-            self.noise.add(now_s, position)
-        self._fit(now_s)
-        self._age_s = max(0.0, age_s)
-        return Update.CONTINUED
-
-    def _fit(self, now_s: float) -> None:
-        """Find the polynomial to go on with, and the updates' interval."""
-        self._curve = None
-        if len(self._updates) < _LEAST:
-            return
-        times_s, places = map(np.array, zip(*self._updates, strict=True))
-        since_s, last = times_s - now_s, self._updates[-1][1]
-        deviation_m = self.noise.variance_m2**0.5
-        # Less the last: identical updates then average to exactly the same position.
-        places = (places - last) / deviation_m
-        least_doubt, curve = np.inf, None
-        count = max(_WINDOW, int(np.sum(since_s >= -_WINDOW_S)))
-        while curve is None or count < _LONGER * len(since_s):
-            window = slice(-count, None)
-            fit, doubt = _polynomial(since_s[window], places[window])
-            if curve is None or doubt < least_doubt:
-                least_doubt, curve = doubt, fit
-            count = int(_LONGER * count)
-        self._curve = curve * deviation_m
-        self._curve[0] += last
-        self._interval_s = float(np.diff(times_s[-_WINDOW:]).mean())
-
-    def at(self, now_s: float) -> Target | None:
-        """Extrapolate the target to now, s; None where it stands at the last update.
-
-        After the last update it continues for a few intervals, without curvature after the first
-        one. Then it is fixed there.
-        """
-        curve = self._curve
-        if curve is None:
-            return None
-        since_s = now_s - self._updates[-1][0]
-        # A target stamped slightly ahead of the joint states is interpolated backwards.
-        if not -_OWN_CLOCK_S < since_s < self._age_s + min(MAX_GAP_S, 3.0 * self._interval_s):
-            return None
-        if len(curve) == 1:
-            return Target(curve[0], np.zeros(curve[0].size))
-        velocity = curve[1].copy()
-        position = curve[0] + since_s * velocity
-        if len(curve) > 2:
-            bent_s = min(since_s, self._age_s + self._interval_s)
-            position += bent_s * (2.0 * since_s - bent_s) * curve[2]
-            velocity += 2.0 * bent_s * curve[2]
-        return None if length(velocity) > _FASTEST_M_S else Target(position, velocity)
-
-
-class FollowedPath:
     """Something measured that may move: where it is on its path, and how fast.
 
     On a curved kind of feature the path is a sum of tangent vectors, so that the motion is one of
@@ -171,45 +73,106 @@ class FollowedPath:
     """
 
     def __init__(self, kind: Kind) -> None:
-        self._kind, self._motion = kind, TargetMotion()
-        self.last: np.ndarray | None = None
+        self._kind = kind
+        self._noise = NoiseVariance(3, _LEAST_NOISE_M, pooled=False)
         self.path_m = np.zeros(kind.size)
+        self._updates: deque[tuple[float, np.ndarray]] = deque(maxlen=_MOST)
+        self.forget()
 
     def forget(self) -> None:
         """Begin a new path; the learned noise stays."""
-        self.last = None
-        self._motion.restart()
+        self.last: np.ndarray | None = None
+        self._restart()
+
+    def _restart(self) -> None:
+        self._updates.clear()
+        self._noise.restart()
+        self._curve: np.ndarray | None = None  # position, velocity, half the acceleration
+        self._interval_s = 0.0  # between updates
+        self._age_s = 0.0  # of the last one when it came
 
     @property
     def noise_m(self) -> float:
         """Standard deviation of a coordinate of a measurement, as learned, m."""
-        return float(np.mean(self._motion.noise.variance_m2) ** 0.5)
+        return float(np.mean(self._noise.variance_m2) ** 0.5)
 
     def add(self, z: np.ndarray, there_s: float = -inf, age_s: float = 0.0) -> Update:
-        """Take a measurement, (m,); times as in :meth:`TargetMotion.update`."""
-        path_m = self.path_m
+        """Take a measurement, (m,), its time, s, and the message's age, s.
+
+        A time of minus infinity sets a fixed target.
+        """
+        step_m = np.zeros(self._kind.size)
         if self.last is not None:
-            path_m = path_m + self._kind.minus(z, self.last)
-        update = self._motion.update(path_m, there_s, age_s)
-        if update is not Update.OVERTAKEN:
-            self.last, self.path_m = z, path_m
-        return update
+            step_m = self._kind.minus(z, self.last)
+        last_s = self._updates[-1][0] if self._updates else -inf
+        near = there_s > -inf and -_OWN_CLOCK_S < there_s - last_s < MAX_GAP_S
+        goes_on = near and length(step_m) < _JUMP_M
+        if goes_on and there_s < last_s:
+            return Update.OVERTAKEN
+        self.last, self.path_m = z, self.path_m + step_m
+        if not goes_on:
+            self._restart()
+            self._updates.append((there_s, self.path_m))
+            return Update.NEW
+        # Joint states, whose stamps may be the clock, can be rarer than updates.
+        if there_s == last_s:
+            self._updates.pop()
+        else:
+            self._noise.add(there_s, self.path_m)
+        self._updates.append((there_s, self.path_m))
+        self._fit(there_s)
+        self._age_s = max(0.0, age_s)
+        return Update.CONTINUED
+
+    def _fit(self, now_s: float) -> None:
+        """Find the polynomial to go on with, and the updates' interval."""
+        if len(self._updates) < _LEAST:
+            return
+        times_s, places = map(np.array, zip(*self._updates, strict=True))
+        since_s, deviation_m = times_s - now_s, self._noise.variance_m2**0.5
+        # Less the last: identical updates then average to exactly the same position.
+        places = (places - self.path_m) / deviation_m
+        fits, count = (
+            list[tuple[np.ndarray, float]](),
+            max(_WINDOW, int(np.sum(since_s >= -_WINDOW_S))),
+        )
+        while not fits or count < _LONGER * len(since_s):
+            fits.append(_polynomial(since_s[-count:], places[-count:]))
+            count = int(_LONGER * count)
+        self._curve = min(fits, key=itemgetter(1))[0] * deviation_m
+        self._curve[0] += self.path_m
+        self._interval_s = float(np.diff(times_s[-_WINDOW:]).mean())
 
     def at(self, now_s: float) -> tuple[np.ndarray | None, np.ndarray, np.ndarray | None]:
         """Where it is now, s, as a measurement, (m,), and on its path, m, (d,); and how fast, m/s.
 
-        No velocity where it stands, and no measurement before the first.
+        After the last update it continues for a few intervals, without curvature after the first
+        one. Then it stands there. No velocity where it stands, and no measurement before the first.
         """
-        now = self._motion.at(now_s)
-        if now is None or self.last is None:
-            return self.last, self.path_m, None
-        gone_m = now.position_m - self.path_m
+        stands, curve = (self.last, self.path_m, None), self._curve
+        if curve is None:
+            return stands
+        since_s = now_s - self._updates[-1][0]
+        # A target stamped slightly ahead of the joint states is interpolated backwards.
+        if not -_OWN_CLOCK_S < since_s < self._age_s + min(MAX_GAP_S, 3.0 * self._interval_s):
+            return stands
+        position_m, velocity_m_s = curve[0], np.zeros(self._kind.size)
+        if len(curve) > 1:
+            position_m, velocity_m_s = position_m + since_s * curve[1], curve[1]
+        if len(curve) > 2:
+            bent_s = min(since_s, self._age_s + self._interval_s)
+            position_m = position_m + bent_s * (2.0 * since_s - bent_s) * curve[2]
+            velocity_m_s = velocity_m_s + 2.0 * bent_s * curve[2]
+        if length(velocity_m_s) > _FASTEST_M_S:
+            return stands
+        assert self.last is not None
+        gone_m = position_m - self.path_m
         z = self._kind.retract(self.last, gone_m) if gone_m.any() else self.last
-        return z, now.position_m, now.velocity_m_s
+        return z, position_m, velocity_m_s
 
 
 def _polynomial(times_s: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, float]:
-    """Coefficients of the simplest polynomial, (terms, m), and its end's variance over the noise.
+    """Coefficients of the simplest polynomial, (terms, d), and its end's variance over the noise.
 
     If no polynomial fits within the noise: the highest one, and an infinite variance.
     """
