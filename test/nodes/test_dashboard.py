@@ -232,7 +232,7 @@ def test_images_are_asked_for_only_while_a_browser_looks(loop, pages):
 
 def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros_test, pages):
     slow = {"joint_state_rate_hz": 50, "image_rate_hz": 15.0, "full_frame_rate_hz": 1.0}
-    parameters = {"port": 0, "object_tag_id": 5, **slow, **PATIENT}
+    parameters = {"port": 0, **slow, **PATIENT}
     arguments = (word for item in parameters.items() for word in ("-p", "{}:={}".format(*item)))
     process = ros_test.start("fvs_tools.launcher", "dashboard", *arguments)
     page = pages(address_of(ros_test, process))
