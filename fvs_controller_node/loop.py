@@ -18,7 +18,7 @@ from fvs_controller_node.drive_lag import DriveLag, brake
 from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES, OBJECT
 from fvs_controller_node.reasons import Finding, Reason, State
 from fvs_controller_node.references import Reference
-from fvs_controller_node.relation import OBJECT_FRAME, Relation, Teacher
+from fvs_controller_node.relation import OBJECT_FRAME, Lens, Relation, Teacher
 from fvs_controller_node.supervisor import Command, Present, Supervisor, checked
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
@@ -63,8 +63,9 @@ class ServoLoop:
         self.kind = self.supervisor.config.kind
         self.track, self._agreement = Track(self.kind), Agreement()
         self._drive_lag, self._following = DriveLag(), Following()
-        self._relation = Relation(self.kind, self.supervisor.goal)
-        self._teacher = Teacher(self.kind)
+        self._lens = Lens(self.kind)
+        self._relation = Relation(self.kind, self.supervisor.goal, self._lens)
+        self._teacher = Teacher(self.kind, self._lens)
         self._object_s: float | None = None  # stamp of the object's newest image
         self.configure(values)
         self._chain: SerialChain | None = None
@@ -176,7 +177,7 @@ class ServoLoop:
 
         The Jacobian that comes with it counts as the message.
         """
-        self._chain, self._chain_s = chain, now_s
+        self._chain, self._chain_s, self._lens.error = chain, now_s, chain.lens
 
     # ---- the target ---------------------------------------------------------------------------
 

@@ -2,6 +2,8 @@
 
 Every image of the object sets the target anew. The goal follows it like any target that is updated
 often: at rest the noise of the object averages out, and its motion is fed forward.
+
+The relation is that of the true lens, where its error is known: its stretch changes with the view.
 """
 
 from __future__ import annotations
@@ -20,8 +22,31 @@ from fvs_ros.vectors import length
 
 #: ``frame_id`` of a relative target.
 OBJECT_FRAME = "object"
+#: Corrections of a measurement by the lens; each leaves the lens' error as a share of the last.
+_CORRECTIONS = 4
 #: Teaching averages over this time, s, and over as many images at least.
 _TEACH_S, _TEACH_IMAGES = 1.0, 5
+
+
+class Lens:
+    """Turns what is measured through a wrong lens, (m,), into the true, and back."""
+
+    def __init__(self, kind: Kind) -> None:
+        self._kind = kind
+        self.error = np.zeros(2)  #: as in :class:`~fvs_ros.chain.SerialChain`
+
+    def true(self, z: np.ndarray) -> np.ndarray:
+        """What the true lens would show."""
+        if not self.error.any():
+            return z
+        return self._kind.nearest(self._kind.without_lens(z[None], *self.error)[0])
+
+    def measured(self, true: np.ndarray) -> np.ndarray:
+        """What is measured: the inverse."""
+        z = true
+        for _ in range(_CORRECTIONS if self.error.any() else 0):
+            z = self._kind.retract(z, self._kind.minus(true, self.true(z)))
+        return z
 
 
 class Relation:
@@ -33,6 +58,8 @@ class Relation:
         Of tool and object, m numbers.
     goal : Goal
         Knows where the target is expected.
+    lens : Lens
+        Of the camera.
 
     Attributes
     ----------
@@ -42,8 +69,8 @@ class Relation:
         How far the object was from its last place when it was seen again, m; 0 if it stood still.
     """
 
-    def __init__(self, kind: Kind, goal: Goal) -> None:
-        self._kind, self._goal = kind, goal
+    def __init__(self, kind: Kind, goal: Goal, lens: Lens) -> None:
+        self._kind, self._goal, self._lens = kind, goal, lens
         self.wanted: np.ndarray | None = None
         self.moved_m = 0.0
         self._object: np.ndarray | None = None  # as seen last
@@ -58,7 +85,7 @@ class Relation:
         """
         self.moved_m = 0.0
         if self.wanted is not None:
-            target = self._kind.absolute(self.wanted, z)
+            target = self._target(self.wanted, z)
             before, self._off_m = self._off_m, self._goal.off_m(target, there_s)
             if self._off_m is not None:
                 off_m = length(self._off_m)
@@ -74,7 +101,10 @@ class Relation:
         """Where something in the object's frame, (m,), is in the camera's; None if unknown."""
         if wanted is None or self._object is None:
             return None
-        return self._kind.absolute(wanted, self._object)
+        return self._target(wanted, self._object)
+
+    def _target(self, wanted: np.ndarray, object_z: np.ndarray) -> np.ndarray:
+        return self._lens.measured(self._kind.absolute(wanted, self._lens.true(object_z)))
 
 
 class Taught(NamedTuple):
@@ -88,8 +118,8 @@ class Taught(NamedTuple):
 class Teacher:
     """Averages tool and object over the last second."""
 
-    def __init__(self, kind: Kind) -> None:
-        self._kind = kind
+    def __init__(self, kind: Kind, lens: Lens) -> None:
+        self._kind, self._lens = kind, lens
         self._tool, self._object = _Second(kind), _Second(kind)
 
     def add_tool(self, stamp_s: float, z: np.ndarray) -> None:
@@ -108,7 +138,7 @@ class Teacher:
         if self._object.newest_s < self._tool.newest_s - _TEACH_S:
             return Taught(z, False, deviation_m)
         object_z, object_m = self._object.mean(topics.object.name)
-        z = self._kind.relative(z, object_z)
+        z = self._kind.relative(self._lens.true(z), self._lens.true(object_z))
         return Taught(z, True, float(np.hypot(deviation_m, object_m)))
 
 

@@ -284,6 +284,7 @@ def load_model(
     with _content(path, "fvs_rbf_model", joint_names) as content:
         chain = None
         if any(name in content for name in _CHAIN):
+            content.setdefault("chain_lens", np.zeros(2))  # older files lack it
             chain = SerialChain(**{name: content[stored] for stored, name in _CHAIN.items()})
         trained = TrainedModel(
             RbfModel(*(content[name] for name in _NETWORKS)),

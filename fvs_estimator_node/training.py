@@ -9,7 +9,7 @@ chain how late the images are stamped, and keep it if it fits.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -107,6 +107,11 @@ def train(
         faults = _chain_faults(fit, errors["jacobian_deviation"])
         why = faults[0] if faults and not poe else ""
     notes = _notes(data, errors, faults if poe else [])
+    if fit is not None and fit.chain.lens.any():
+        notes.append(
+            f"{lens_text(errors)}: calibrate the camera; with the method poe, targets in the frame "
+            "of an object allow for it"
+        )
     came_from = {"method": options.method, "options": asdict(options), "no_chain": why}
     return TrainedModel(
         model,
@@ -205,10 +210,23 @@ def _figures(fit: ChainFit, model: RbfModel, joints_rad: np.ndarray) -> dict[str
     names = ("misfit", "residual_m", "noise_m", "ray_noise_m", "lateral_noise_m", "time_offset_s")
     counts = ("time_offset_deviation_s", "outliers", "samples")
     figures = {name: getattr(fit, name) for name in (*names, *counts)}
+    deviations = np.sqrt(np.diag(fit.lens_covariance)).tolist()
+    figures["focal_error"], figures["radial_error"] = fit.lens.tolist()
+    figures["focal_deviation"], figures["radial_deviation"] = deviations
     deviation = fit.jacobian_deviation(joints_rad[: _JUDGED // 10])
     figures["jacobian_deviation"] = float(np.median(deviation))
     figures["distillation_error"] = float(np.median(error / np.linalg.norm(truth, axis=(1, 2))))
     return {name: value for name, value in figures.items() if math.isfinite(value)}
+
+
+def lens_text(errors: Mapping[str, Any]) -> str:
+    """What a model's figures say of the lens, in words."""
+    focal, deviation = 100.0 * errors["focal_error"], 100.0 * errors["focal_deviation"]
+    return (
+        f"focal length {abs(focal):.1f} +- {deviation:.1f} % {'longer' if focal > 0 else 'shorter'}"
+        f" than camera_info says, k1 off by {errors['radial_error']:.3f} +- "
+        f"{errors['radial_deviation']:.3f}"
+    )
 
 
 def _chain_faults(fit: ChainFit, deviation: float) -> list[str]:

@@ -39,7 +39,10 @@ CHAIN_SHAPES: dict[str, tuple[int | str, ...]] = {
     "feature_m": ("m",),
     "reference_rad": ("n",),
     "prismatic": ("n",),
+    "lens": (2,),
 }
+#: Largest error of a lens that is believed, of either number.
+MOST_LENS = 0.5
 
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
@@ -76,11 +79,14 @@ class SerialChain:
         The reference joints r0, rad, of prismatic ones m.
     prismatic : ndarray, shape (n,), optional
         1 for each prismatic joint, 0 for the others; by default all are revolute.
+    lens : ndarray, shape (2,), optional
+        Error of the lens through which all of this was measured: ``focal`` and ``radial`` of
+        :meth:`~fvs_ros.kinds.Kind.through_lens`; 0 where it is as good as declared.
 
     Raises
     ------
     ValueError
-        If a shape is wrong, a number is not finite or above 100, or an axis has no direction.
+        If a shape is wrong, a number is not finite or too large, or an axis has no direction.
     """
 
     axes: np.ndarray
@@ -88,6 +94,7 @@ class SerialChain:
     feature_m: np.ndarray
     reference_rad: np.ndarray
     prismatic: np.ndarray = None  # type: ignore[assignment]
+    lens: np.ndarray = None  # type: ignore[assignment]
     #: T_i and T_i^2, with ``E_i(a) = 1 + sin(a) T_i + (1 - cos(a)) T_i^2``, or ``1 + a T_i`` of a
     #: prismatic joint, whose T_i^2 is zero; all transposed, for points in rows.
     _twists: np.ndarray = field(init=False, repr=False)
@@ -101,10 +108,14 @@ class SerialChain:
     def __post_init__(self) -> None:
         if self.prismatic is None:
             object.__setattr__(self, "prismatic", np.zeros(len(self.reference_rad)))
+        if self.lens is None:
+            object.__setattr__(self, "lens", np.zeros(2))
         check_arrays(self, CHAIN_SHAPES, {})
         for name in CHAIN_SHAPES:
             if not plausible(getattr(self, name)):
                 raise ValueError(f"{name} of a chain holds a number above {LARGEST:g} m")
+        if np.abs(self.lens).max() > MOST_LENS:
+            raise ValueError(f"a chain's lens errs by {self.lens.tolist()}")
         if self.feature_m.size == 0 or self.feature_m.size % 3:
             raise ValueError(f"a chain carries {self.feature_m.size} numbers, expected 3, 6, ...")
         lengths = np.linalg.norm(self.axes, axis=1, keepdims=True)
@@ -268,4 +279,5 @@ class SerialChain:
             carried.ravel(),
             self.reference_rad,
             self.prismatic,
+            self.lens,
         )

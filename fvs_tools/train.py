@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fvs_estimator_node.files import DataSet, TrainedModel, load_data_set, save_model
-from fvs_estimator_node.training import METHODS, TrainingOptions, train
+from fvs_estimator_node.training import METHODS, TrainingOptions, lens_text, train
 from fvs_ros import console
 from fvs_ros.arguments import Parser
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
@@ -129,6 +129,7 @@ def report(trained: TrainedModel) -> str:
             # + 0.0: no negative zero
             f"images stamped late: {round(1e3 * e['time_offset_s'], 1) + 0.0:.1f} +- "
             f"{1e3 * e['time_offset_deviation_s']:.1f} ms",
+            f"lens: {lens_text(e)}",
             f"noise of a position: {1e3 * e['ray_noise_m']:.2f} mm along the line of sight, "
             f"{1e3 * e['lateral_noise_m']:.2f} mm across",
             f"distance from the chain: {1e3 * e['residual_m']:.2f} mm (median); {noise}",

@@ -174,9 +174,16 @@ class Kind(Parameters):
         radial : float
             First coefficient of distortion (k1) that is not removed.
         """
+        return z * self._lens_factor(z, focal, radial)
+
+    def without_lens(self, z: np.ndarray, focal: float, radial: float) -> np.ndarray:
+        """The inverse of ``through_lens``, but for the square of the error."""
+        return z / self._lens_factor(z, focal, radial)
+
+    def _lens_factor(self, z: np.ndarray, focal: float, radial: float) -> np.ndarray:
         square = np.sum((z[:, :2] / z[:, 2:3]) ** 2, axis=1, keepdims=True)
         factor = (1.0 + focal) * (1.0 + radial * square)
-        return z * np.concatenate([factor, factor, np.ones_like(factor)], axis=1)
+        return np.concatenate([factor, factor, np.ones_like(factor)], axis=1)
 
     # ---- relative to an object ---------------------------------------------------------------
 

@@ -155,6 +155,10 @@ class Pose(Kind):
         axes = axes - axes @ cross_matrix(motion[:, 3:])
         return np.hstack([z[:, :3] + motion[:, :3], axes.reshape(-1, 9)])
 
+    def without_lens(self, z: np.ndarray, focal: float, radial: float) -> np.ndarray:
+        """Poses with the true lens, (k, 12): exact in the distance of a tag that faces it."""
+        return self.through_lens(z, -focal, -radial)
+
     def _basis(self, z: np.ndarray | None) -> np.ndarray:
         """Orthonormal rows, (6, 12): the tangent vectors among those of the weighted numbers."""
         assert z is not None

@@ -152,13 +152,14 @@ def to_chain(chain: SerialChain) -> Float64MultiArray:
     """``Float64MultiArray`` of a chain of n joints, shape (n + m / 3, 8), row-major.
 
     A row for each joint: the direction of its axis, a point on it, m, the joint's reference
-    position, rad (m), and 1 if it is prismatic. Then the rows of the feature, and zeros.
+    position, rad (m), and 1 if it is prismatic. Then the rows of the feature, the first with the
+    two numbers of the lens, and zeros.
     """
     joints, carried = len(chain.axes), chain.feature_m.reshape(-1, 3)
     rows = np.zeros((joints + len(carried), _CHAIN_COLUMNS))
     joint = np.column_stack([chain.reference_rad, chain.prismatic])
     rows[:joints] = np.hstack([chain.axes, chain.points_m, joint])
-    rows[joints:, :3] = carried
+    rows[joints:, :3], rows[joints, 3:5] = carried, chain.lens
     return _to_matrix(rows, "joint", "axis_point_reference")
 
 
@@ -168,7 +169,9 @@ def from_chain(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> S
     matrix = _from_matrix(message, "kinematic_chain", rows, _CHAIN_COLUMNS)
     joint, carried = matrix[:joints], kind.nearest(matrix[joints:, :3].ravel())
     try:
-        return SerialChain(joint[:, :3], joint[:, 3:6], carried, *joint[:, 6:].T)
+        reference_rad, prismatic = joint[:, 6:].T
+        lens = matrix[joints, 3:5]
+        return SerialChain(joint[:, :3], joint[:, 3:6], carried, reference_rad, prismatic, lens)
     except ValueError as error:
         raise MessageError(f"kinematic_chain is no chain: {error}") from error
 

@@ -1,12 +1,16 @@
 """Targets relative to an object: taught and found again, moved, hidden, and wrongly seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cases import each
 from lock_step import EXACT_POSE, GOAL_RAD, START_RAD, feature_at, loop_from
 
 from fvs_controller_node.reasons import Reason, State
-from fvs_controller_node.relation import OBJECT_FRAME
+from fvs_controller_node.relation import OBJECT_FRAME, Lens
+from fvs_estimator_node.camera import PoeEstimator
+from fvs_estimator_node.loop import EstimationLoop
 from fvs_lab.trials import Conditions, simulation_of
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import Simulation
@@ -22,7 +26,7 @@ EVERY = 4  # joint states an image of the object
 class Scene:
     """A loop, and an object that is seen with noise."""
 
-    def __init__(self, feature, **values):
+    def __init__(self, feature, focal_error=0.0, known=True, **values):
         simulation = simulation_of(KINDS[feature])
         tool = feature_at(simulation, GOAL_RAD)
         self.loop = loop_from("best", START_RAD, simulation, **values)
@@ -33,9 +37,18 @@ class Scene:
         self.object = kind.retract(tool, motion_m)
         self.relative = kind.relative(tool, self.object)
         self.tick = 0
+        self.lens = Lens(kind)
+        if focal_error:
+            self.lens.error = np.array([focal_error, 0.0])
+            blurred = simulation._blurred
+            simulation._blurred = lambda z, rng: blurred(self.lens.measured(z), rng)
+            chain = replace(self.loop.estimator.chain, lens=known * self.lens.error)
+            self.loop.estimator = PoeEstimator(chain, None, kind)
+            self.loop.estimation = EstimationLoop(self.loop.estimator)
 
     def measured(self):
-        return self.kind.retract(self.object, 3e-4 * self.generator.standard_normal(self.kind.size))
+        noise_m = 3e-4 * self.generator.standard_normal(self.kind.size)
+        return self.kind.retract(self.lens.measured(self.object), noise_m)
 
     def run(self, seconds, seen=measured):
         commands = []
@@ -77,6 +90,18 @@ def test_a_taught_relation_is_found_again_beside_the_object_at_another_place(sce
     assert scene.loop.loop.go_to(taught)[0]
     scene.run(2.5)
     assert scene.error_m < 1.5e-3
+
+
+@each(("known", "least_m", "most_m"), [(True, 0.0, 8e-4), (False, 3e-3, 0.01)])
+def test_a_lens_that_is_known_to_err_does_not_stretch_the_relation(known, least_m, most_m):
+    scene = Scene("pose", focal_error=0.05, known=known)
+    scene.ask()
+    scene.run(3.0)
+    error_m = scene.error_m
+    taught = scene.loop.loop.teach()
+    del scene.loop.simulation._blurred
+    assert least_m < error_m < most_m
+    assert np.linalg.norm(scene.kind.minus(taught.z, scene.relative)) < 1e-3
 
 
 def test_an_object_on_a_belt_is_followed(scene):

@@ -5,6 +5,7 @@ import pytest
 from cases import each
 from scipy.spatial.transform import Rotation
 
+from fvs_ros import ros
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 
 
@@ -12,8 +13,8 @@ def random_chain(seed=0, joints=6, features=3):
     rng = np.random.default_rng(seed)
     lengths = {"n": joints, "m": features}
     shapes = ([lengths.get(side, side) for side in sides] for sides in CHAIN_SHAPES.values())
-    *numbers, prismatic = (rng.normal(size=shape) for shape in shapes)
-    return SerialChain(*numbers, prismatic > 0.5)
+    *numbers, prismatic, lens = (rng.normal(size=shape) for shape in shapes)
+    return SerialChain(*numbers, prismatic > 0.5, 0.1 * lens)
 
 
 @each("features", [3, 12])
@@ -42,6 +43,13 @@ def test_a_moved_camera_sees_the_same_arm_elsewhere():
     np.testing.assert_allclose(moved.position(joints), seen.reshape(10, 6), atol=1e-12)
     columns = rotation @ jacobian.reshape(10, 2, 3, 6)
     np.testing.assert_allclose(moved.jacobian(joints), columns.reshape(10, 6, 6), atol=1e-12)
+
+
+def test_a_chain_comes_back_from_its_message():
+    chain = random_chain()
+    back = ros.from_chain(ros.to_chain(chain), 6)
+    for name in CHAIN_SHAPES:
+        np.testing.assert_allclose(getattr(back, name), getattr(chain, name), atol=1e-15)
 
 
 @each("name", CHAIN_SHAPES)

@@ -68,6 +68,9 @@ def test_it_says_how_good_it_is_with_a_camera_and_joints_that_err(scales, encode
     seen = np.diag(scales) @ recording.chain().jacobian(probes)
     error = np.median(relative_error(fit.chain.jacobian(probes), seen))
     assert 0.5 * error < np.median(fit.jacobian_deviation(probes)) < 2.0 * error
+    assert fit.lens[0] == pytest.approx(scales[0] / scales[2] - 1.0, abs=2e-3)
+    np.testing.assert_array_equal(fit.chain.lens, fit.lens * (scales[0] != scales[2]))
+    assert fit.is_chain
 
 
 def test_a_wrong_optimum_that_fits_nearly_as_well_is_left():
@@ -156,6 +159,15 @@ def pose_recording(recording, noise_m=3e-4, noise_rad=1e-3):
     seen = np.array([pose.retract(*both) for both in zip(exact, noise, strict=True)])
     run = np.zeros(len(stamps), dtype=int)
     return chain, DataSet(stamps, recording.joints(stamps), seen, run, feature="pose")
+
+
+def test_a_lens_bends_the_motion_of_a_tag_as_no_chain_does():
+    data = pose_recording(Recording())[1]
+    seen = data.kind.through_lens(data.z, 0.05 / 1.05, -0.05)  # at 1 / 1.05 of the distance
+    fit = fit_chain(replace(data, z=np.array([data.kind.nearest(z) for z in seen])))
+    np.testing.assert_allclose(fit.chain.lens, [0.05, -0.05], atol=0.004)
+    assert fit.lens_covariance[0, 0] < 1e-3**2
+    assert fit.is_chain
 
 
 def test_a_tag_on_the_last_axis_is_fitted_to_less_than_a_thousandth():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from fvs_ros.chain import SerialChain
@@ -92,6 +93,28 @@ def test_a_kind_moves_with_the_twists_of_a_chain(rng, name):
     np.testing.assert_allclose(
         kind.moved_by(*chain.motion(joints)), np.transpose(motions), atol=1e-8
     )
+
+
+def test_the_true_lens_shows_a_tag_where_its_corners_say(rng):
+    pose, half_m = Pose(LEVER_M), 0.05
+    square = half_m * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0.0]])
+    for _ in range(10):
+        vector = np.array([np.pi, 0.0, 0.0]) + 0.3 * rng.normal(size=3)
+        position_m = np.append(0.2 * rng.normal(size=2), 1.2)
+        true = pose.of_body(position_m, Rotation.from_rotvec(vector).as_matrix())
+        corners = true[:3] + square @ pose.rotation(true).T
+        image = 1.05 * corners[:, :2] / corners[:, 2:]
+
+        def missed(motion, true=true, image=image):
+            z = pose.retract(true, motion)
+            corners = z[:3] + square @ pose.rotation(z).T
+            return (corners[:, :2] / corners[:, 2:] - image).ravel()
+
+        measured = pose.retract(true, least_squares(missed, np.zeros(6), xtol=1e-12).x)
+        corrected = pose.nearest(pose.without_lens(measured[None], 0.05, 0.0)[0])
+        left, before = pose.minus(corrected, true), pose.minus(measured, true)
+        assert np.linalg.norm(before) > 0.05
+        assert np.linalg.norm(left) < 0.05 * np.linalg.norm(before)
 
 
 def test_nearest_pose_undoes_small_errors(rng):
