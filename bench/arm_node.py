@@ -75,12 +75,12 @@ class Arm:
         if now_s - self._target_s > TARGET_PERIOD_S:
             self._target_s, self._side = now_s, -self._side
             target_m = self._home_m + self._side * OFFSET_M
-            self._targets.publish(ros.to_point(stamp_s, CAMERA_FRAME, target_m))
+            self._targets.publish(ros.to_feature(stamp_s, CAMERA_FRAME, Ball(), target_m))
         with_image = now_s - self._image_s > IMAGE_PERIOD_S
         self._sent = now_s, with_image
         if with_image:
             self._image_s = now_s
-            self._balls.publish(ros.to_point(stamp_s, CAMERA_FRAME, self._ball_m()))
+            self._balls.publish(ros.to_feature(stamp_s, CAMERA_FRAME, Ball(), self._ball_m()))
         message = ros.to_joint_state(
             stamp_s, UR_JOINT_NAMES, self._joints_rad, self._velocity_rad_s
         )

@@ -80,7 +80,7 @@ def start_up():
         targets = harness.node.create_publisher(
             PointStamped, Ball.topics.target.name, ros.QOS_LATCHED
         )
-        targets.publish(ros.to_point(1.0, CAMERA_FRAME, np.array([0.05, 0.2, 1.45])))
+        targets.publish(ros.to_feature(1.0, CAMERA_FRAME, Ball(), np.array([0.05, 0.2, 1.45])))
         begin_s = time.monotonic()
         harness.start("fvs_tools.launcher", "servo")
         harness.spin_until(lambda: bool(commands) and bool(np.any(commands[-1].data)), 60.0)

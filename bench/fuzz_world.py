@@ -255,14 +255,14 @@ class World:
 
     def send_ball(self, ball_m, stamp_s, frame=CAMERA_FRAME):
         """Send a ball position, m."""
-        message = ros.to_point(stamp_s, frame, ball_m)
+        message = ros.to_feature(stamp_s, frame, Ball(), ball_m)
         value = _read(ros.from_feature, message, Ball(), CAMERA_FRAME, BALL)
         self._note(BALL, value, ros.from_stamp(message.header.stamp))
         self.node._on_feature(message)
 
     def send_object(self, object_m, stamp_s, frame=CAMERA_FRAME):
         """Send an object's position, m."""
-        message = ros.to_point(stamp_s, frame, object_m)
+        message = ros.to_feature(stamp_s, frame, Ball(), object_m)
         value = _read(ros.from_feature, message, Ball(), CAMERA_FRAME, OBJECT)
         self._note(OBJECT, value, ros.from_stamp(message.header.stamp))
         self.new_task |= self.relative
@@ -291,7 +291,7 @@ class World:
         """Send a target, m."""
         target_m = np.array(list(target_m))
         before = self.target_m
-        self.node._on_target(ros.to_point(self.ros_s, frame, target_m))
+        self.node._on_target(ros.to_feature(self.ros_s, frame, Ball(), target_m))
         low, high = (np.array(self.values[f"workspace_{end}_m"]) for end in ("min", "max"))
         inside = np.all((low <= target_m) & (target_m <= high))
         allowed = frame == OBJECT_FRAME or (frame == CAMERA_FRAME and inside)

@@ -239,11 +239,6 @@ class Goal:
             self._error_m = self._config.kind.minus(z, target, self._error_m)
         return self._error_m
 
-    @property
-    def settled(self) -> bool:
-        """Whether the feature has been on target for a while."""
-        return self.error_m is not None and self.progress.settled
-
     def _outside(self, target: np.ndarray) -> list[str]:
         """Say which coordinates of a target are outside the workspace box."""
         if not self._config.kind.box_size:

@@ -32,8 +32,6 @@ _NO_RANGES = (
     "robot_description"
 )
 _LATE = (Reason.STALE, Reason.RETURNING)
-#: A hold that is shorter passes, and is not logged again and again; a longer one is, s.
-_PASSING_S = 0.5
 #: A latched target reaches both subscriptions within this time, s.
 _TARGET_ECHO_S = 0.5
 _LEVELS = {
@@ -68,7 +66,7 @@ class ControllerNode(ros.FvsNode):
         self._sent: deque[tuple[float, ...]] = deque(maxlen=64)  # own commands
         self._command: Command | None = None
         self._logged: Reason | None = None
-        self._logged_passing_s = self._clear_s = -np.inf
+        self._logged_passing_s = -np.inf
 
         self._commands = ros.CommandPublisher(self)
         self._joints: np.ndarray | None = None
@@ -263,12 +261,11 @@ class ControllerNode(ros.FvsNode):
     def _tell_reason(self, now_s: float, command: Command) -> None:
         passes = command.state is State.HOLDING or command.reason in _LATE
         passes = passes and not command.reason.needs_start
-        self._clear_s = self._clear_s if passes else now_s
-        soon = now_s < self._clear_s + _PASSING_S
         again = passes and now_s < self._logged_passing_s + ros.REPEAT_S
-        if command.reason is self._logged or (again and soon):
+        if command.reason is self._logged or again:
             return
-        self._logged_passing_s = now_s if passes else self._logged_passing_s
+        if passes:
+            self._logged_passing_s = now_s
         self._logged = command.reason
         # Before a start, waiting is normal.
         level = ros.OK if command.state is State.WAITING else _LEVELS[command.state]
@@ -321,10 +318,6 @@ class ControllerNode(ros.FvsNode):
         if tuple(message.data) not in self._sent:
             name = self._conflicting or "another node"
             self._loop.supervisor.inputs.conflicting_command(self.now_s(), name)
-
-    def diagnostic_values(self) -> dict[str, Any]:
-        """Ticks that the watchdog made."""
-        return {"late_ticks": self._ticker.late}
 
     def finish(self) -> None:
         """Come to rest, send zeros last, and publish the final status."""

@@ -292,7 +292,7 @@ class Supervisor:
             "state": last.state.value,
             "reason": last.reason.name,
             "started": str(self.started).lower(),
-            "settled": str(self.goal.settled).lower(),
+            "settled": str(error is not None and self.goal.progress.settled).lower(),
             **config.kind.status_values(error),
             "active_limit": last.active_limit,
             "fastest_joint_rad_s": largest(self._limiter.velocity_rad_s),

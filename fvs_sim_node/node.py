@@ -305,10 +305,6 @@ class SimNode(ros.FvsNode):
             },
         )
 
-    def diagnostic_values(self) -> dict[str, Any]:
-        """Count of steps that were late or had no response."""
-        return {"late_ticks": self._late}
-
     def finish(self) -> None:
         """Close PyBullet."""
         if self._worker is not None:

@@ -360,7 +360,9 @@ class PlayedRobot:
         self._send(topics.JACOBIAN.name, ros.to_jacobian(self.jacobian))
 
     def _look(self) -> None:
-        self._send(Ball.topics.tool.name, ros.to_point(self.now_s(), self.FRAME, self.ball))
+        self._send(
+            Ball.topics.tool.name, ros.to_feature(self.now_s(), self.FRAME, Ball(), self.ball)
+        )
 
     def meet_controller(self) -> None:
         """Wait until the controller hears this robot, and the robot the controller."""

@@ -22,7 +22,6 @@ from fvs_ros.ros.messages import (
     to_image,
     to_jacobian,
     to_joint_state,
-    to_point,
     to_sliding,
     to_stamp,
     to_status,

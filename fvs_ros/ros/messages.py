@@ -69,11 +69,6 @@ def _stamped(message_type: type, stamp_s: float, frame: str) -> Any:
     return message
 
 
-def to_point(stamp_s: float, frame: str, position_m: np.ndarray) -> Any:
-    """``PointStamped`` of a position, m, shape (3,)."""
-    return to_feature(stamp_s, frame, _BALL, position_m)
-
-
 def to_feature(stamp_s: float, frame: str, kind: Kind, z: np.ndarray) -> Any:
     """Message of a measurement or a target, (m,)."""
     message = _stamped(message_class(kind.topics.tool.type), stamp_s, frame)

@@ -319,10 +319,6 @@ class FvsNode(Node):
         """Log why a message or a request cannot be used, not too often."""
         self.get_logger().warning(plain(text), throttle_duration_sec=REPEAT_S)
 
-    def diagnostic_values(self) -> dict[str, Any]:
-        """More key numbers for ``/diagnostics``."""
-        return {}
-
     def _publish_diagnostics(self) -> None:
         if not self._diagnostics.get_subscription_count():
             return
@@ -332,7 +328,6 @@ class FvsNode(Node):
             for topic, monitor in self._monitors.items()
             for key, value in monitor.report(now_s).items()
         }
-        values.update(self.diagnostic_values())
         message = DiagnosticArray(
             status=[to_status(level, self.get_fully_qualified_name(), text, values)]
         )

@@ -50,7 +50,9 @@ class Bench(Statuses):
 
     def aim(self, target_m):
         self.target_m = np.array(target_m)
-        self.target.publish(ros.to_point(self.robot.now_s(), PlayedRobot.FRAME, self.target_m))
+        self.target.publish(
+            ros.to_feature(self.robot.now_s(), PlayedRobot.FRAME, Ball(), self.target_m)
+        )
 
     def start(self):
         self.started_s = min(self.started_s, time.time())
@@ -162,7 +164,7 @@ def test_another_nodes_commands_hold_the_arm_and_the_node_is_named(bench):
 
 def test_huge_and_malformed_messages_are_dropped_and_told_in_a_line(bench):
     bench.servo()
-    huge = ros.to_point(0.0, "x" * 10**6, bench.robot.ball)
+    huge = ros.to_feature(0.0, "x" * 10**6, Ball(), bench.robot.ball)
     for message in (huge, b"", b"\0\1\0\0" + b"\xff" * 40):
         bench.target.publish(message)
         bench.harness.spin_for(0.05)
@@ -172,7 +174,7 @@ def test_huge_and_malformed_messages_are_dropped_and_told_in_a_line(bench):
     for _ in range(3):  # best effort: one of them arrives
         publisher.publish(jacobian)
         bench.harness.spin_for(0.05)
-    bench.target.publish(ros.to_point(0.0, "no \x1b[2J frame", bench.robot.ball))
+    bench.target.publish(ros.to_feature(0.0, "no \x1b[2J frame", Ball(), bench.robot.ball))
     bench.wait(lambda: "refused" in bench.text(), what="a target that is small enough to be heard")
     bench.wait_for("SERVOING")
     output = bench.harness.output(bench.process)

@@ -19,6 +19,7 @@ from fvs_controller_node.reasons import Reason
 from fvs_ros import ros
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.interface import POSITION
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.ros import commands
 
 README = Path(__file__).resolve().parents[2] / "README.md"
@@ -133,7 +134,7 @@ def test_a_target_is_heard_again_but_the_same_latched_message_not_twice():
     world.run(FRESH_TICKS)
     for stamp_s, counts_again in ((0.0, True), (world.ros_s, False)):
         target_m = world.ball() + [0.1, 0.0, 0.0]
-        message = ros.to_point(stamp_s, CAMERA_FRAME, target_m)
+        message = ros.to_feature(stamp_s, CAMERA_FRAME, Ball(), target_m)
         world.node._on_target(message)
         np.testing.assert_array_equal(world.target_m, target_m)
         world.run(100)  # longer than an echo takes

@@ -168,7 +168,7 @@ def test_what_is_taught_on_the_page_is_gone_to_where_the_object_is(loop, tmp_pat
     object_m = np.array([0.1, 0.05, 1.3])
 
     def look():
-        objects.publish(ros.to_point(robot.now_s(), CAMERA_FRAME, object_m))
+        objects.publish(ros.to_feature(robot.now_s(), CAMERA_FRAME, Ball(), object_m))
 
     timer, taught_m = harness.node.create_timer(1 / 30, look), robot.ball - object_m
     page.set("Name", "grasp")

@@ -48,7 +48,7 @@ def test_ctrl_c_in_motion_ends_all_with_zeros_last_also_in_the_recording(ros_tes
     ros_test.spin_until(lambda: bool(truths), 30.0, "the simulator")
     ball = truths[-1].point
     point = np.array([ball.x - 0.1, ball.y - 0.1, ball.z - 0.2])
-    target.publish(ros.to_point(1.0, "camera_color_optical_frame", point))
+    target.publish(ros.to_feature(1.0, "camera_color_optical_frame", Ball(), point))
     ros_test.spin_until(
         lambda: commands and max(np.abs(commands[-1].data)) > 0.3, 20.0, "the arm to move"
     )

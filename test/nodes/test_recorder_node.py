@@ -95,7 +95,7 @@ def test_what_came_before_the_recorder_was_killed_is_read(ros_test, recorder):
     ball = ros_test.node.create_publisher(PointStamped, Ball.topics.tool.name, DEEP)
     listened(ros_test, ball)
     for number in range(30):
-        ball.publish(ros.to_point(1.0 + number, "eye", np.array([0.1, 0.2, 0.8])))
+        ball.publish(ros.to_feature(1.0 + number, "eye", Ball(), np.array([0.1, 0.2, 0.8])))
     begun = len(status)
     # Its own status, at 10 Hz, is recorded, too: a second later all that is in the file.
     ros_test.spin_until(lambda: len(status) > begun + 20, what="two seconds of its status")

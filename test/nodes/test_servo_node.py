@@ -36,7 +36,7 @@ class Loop(Statuses):
         self.wait(lambda: self.reason() == "NO_TARGET" and len(self.balls) > 5, 60.0, "all inputs")
 
     def aim(self, target_m):
-        self.targets.publish(ros.to_point(time.time(), CAMERA_FRAME, target_m))
+        self.targets.publish(ros.to_feature(time.time(), CAMERA_FRAME, Ball(), target_m))
 
     def reach(self, target_m):
         """Have the ball brought to a target, m."""

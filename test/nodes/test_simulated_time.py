@@ -31,7 +31,7 @@ def test_the_simulator_waits_for_a_command_to_each_joint_state_and_for_nodes_far
     for topic, message, behind_s in (
         (topics.COMMANDS, ros.to_command(np.zeros(6)), 0.008),
         (topics.JACOBIAN, ros.to_jacobian(JACOBIAN), 0.1),
-        (Ball.topics.tool, ros.to_point(1.0, "camera", np.zeros(3)), 0.15),
+        (Ball.topics.tool, ros.to_feature(1.0, "camera", Ball(), np.zeros(3)), 0.15),
     ):
         answers = ros_test.publisher(type(message), topic.name)
         answers.publish(message)
@@ -67,7 +67,7 @@ def test_the_collector_answers_each_joint_state_once_and_ctrl_c_leaves_zeros(ros
         ball = JACOBIAN @ joints + [0.0, 0.0, 1.4]
         answered = len(commands)
         clock.publish(Clock(clock=ros.to_stamp(stamp_s)))
-        balls.publish(ros.to_point(stamp_s, "camera_color_optical_frame", ball))
+        balls.publish(ros.to_feature(stamp_s, "camera_color_optical_frame", Ball(), ball))
         states.publish(ros.to_joint_state(stamp_s, UR_JOINT_NAMES, joints, np.zeros(6)))
         ros_test.spin_until(lambda: len(commands) > answered, what="an answer")
 

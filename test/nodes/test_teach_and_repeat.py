@@ -30,7 +30,7 @@ class Kitchen(Statuses):
 
     def _look(self):
         if self.seen:
-            message = ros.to_point(self.robot.now_s(), PlayedRobot.FRAME, self.object_m)
+            message = ros.to_feature(self.robot.now_s(), PlayedRobot.FRAME, Ball(), self.object_m)
             self._objects.publish(message)
 
     def call(self, service):

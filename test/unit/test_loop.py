@@ -58,7 +58,9 @@ def test_an_overtaken_target_is_passed_over_whether_the_newer_one_stands_or_move
     newer = np.array([0.1, 0.0, 1.1])
     at_x_m = {0.05: -0.01, 0.0: 0.0, 0.1: -0.03} if moves else {0.0: 0.0, 0.1: -0.03}
     for age_s, x_m in at_x_m.items():
-        message = ros.to_point(servoing.ros_s - age_s, CAMERA_FRAME, newer + [x_m, 0.0, 0.0])
+        message = ros.to_feature(
+            servoing.ros_s - age_s, CAMERA_FRAME, Ball(), newer + [x_m, 0.0, 0.0]
+        )
         servoing.node._on_target(message)
     servoing.run(50)
     np.testing.assert_allclose(servoing.target_m, newer, atol=1e-9)

@@ -382,12 +382,12 @@ def test_a_target_after_a_moving_one_or_a_dropped_one_is_a_task_of_its_own(dropp
     for tick in range(300):
         goal.move_on(4.8 + DT_S * tick)
         goal.see(there, DT_S, True)
-    assert goal.settled
+    assert goal.progress.settled
     if dropped:
         goal.configure(dataclasses.replace(config, workspace_max_m=(0.5, 1.0, 3.0)))
         assert goal.target is None
     assert goal.set(TARGET, FRAME)[0]
-    assert not goal.settled
+    assert not goal.progress.settled
     for left in np.linspace(1.0, 0.0, 120):  # going there is no swing
         goal.see(TARGET + left * (there - TARGET), DT_S, True)
         assert goal.progress.check(config) is None
