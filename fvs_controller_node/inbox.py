@@ -85,12 +85,21 @@ class InputMonitor:
         """Time since the last usable message, s; infinite if there was none."""
         return inf if self._last_s is None else max(0.0, now_s - self._last_s)
 
+    def _largest_age(self) -> tuple[str, float]:
+        """What limits the age of a message, and the limit, s."""
+        limit_s = getattr(self.config, self._limit) if self._limit else inf
+        if limit_s < self._periods_s:
+            return f"{_PERIODS:g} of its periods", self._periods_s
+        return self._limit, limit_s
+
+    def late(self, now_s: float) -> bool:
+        """Whether the last usable message is too old, but for the time to spare."""
+        return self.age_s(now_s) > self._largest_age()[1]
+
     def find(self, now_s: float) -> Finding | None:
         """Find what is wrong with this input now, if anything."""
         age_s = self.age_s(now_s)
-        limit, limit_s = self._limit, getattr(self.config, self._limit) if self._limit else inf
-        if limit_s < self._periods_s:
-            limit, limit_s = f"{_PERIODS:g} of its periods", self._periods_s
+        limit, limit_s = self._largest_age()
         limit_s += self.spare_s
         stale = self._last_s is not None and age_s > limit_s
         if stale:
@@ -233,9 +242,8 @@ class Inbox:
 
     def hidden(self, now_s: float) -> str:
         """That an object is hidden and its last place counts, in words; empty if it is seen."""
-        monitor, max_age_s = self[OBJECT], self._config.ball_max_age_s
-        age_s = monitor.age_s(now_s)
-        if not monitor.needed or age_s <= max_age_s or age_s > max_age_s + monitor.spare_s:
+        monitor, age_s = self[OBJECT], self[OBJECT].age_s(now_s)
+        if not (monitor.needed and monitor.late(now_s)) or monitor.find(now_s) is not None:
             return ""
         return f"{monitor.name} is {age_s:.1f} s old: where the object stood counts"
 

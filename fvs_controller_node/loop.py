@@ -151,11 +151,12 @@ class ServoLoop:
             monitor.stuck(now_s)
             return
         self._object_s = stamp_s
+        was_hidden = monitor.late(now_s)
         if not self.supervisor.inputs.add(OBJECT, now_s, z):
             return
         self._teacher.add_object(stamp_s, z)
         there_s = on_own_clock(stamp_s, self._stamp_s)
-        target = self._relation.add_image(z, there_s)
+        target = self._relation.add_image(z, there_s, was_hidden)
         if self._relation.moved_m:
             moved = self.kind.length_text(self._relation.moved_m)
             self.supervisor.end(Reason.OBJECT_MOVED.because(moved=moved))

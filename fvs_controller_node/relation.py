@@ -17,7 +17,6 @@ import numpy as np
 from fvs_controller_node.goal import Goal
 from fvs_ros.filter import OUTLIER
 from fvs_ros.kinds import Kind
-from fvs_ros.timeline import MAX_GAP_S
 from fvs_ros.vectors import length
 
 #: ``frame_id`` of a relative target.
@@ -74,16 +73,18 @@ class Relation:
         self.wanted: np.ndarray | None = None
         self.moved_m = 0.0
         self._object: np.ndarray | None = None  # as seen last
-        self._seen_s = -inf
+        self._hidden = False  # before the images that do not count yet
         self._off_m: np.ndarray | None = None  # of an outlier
 
-    def add_image(self, z: np.ndarray, there_s: float) -> np.ndarray | None:
+    def add_image(self, z: np.ndarray, there_s: float, was_hidden: bool) -> np.ndarray | None:
         """Take an image of the object, (m,), and its exposure on the joint states' clock, s.
 
-        Returns the target, (m,). It is None for an absolute one, and for an outlier: an image that
-        is off what was expected, and that the one before it does not confirm.
+        ``was_hidden`` says that it came late. Returns the target, (m,). It is None for an absolute
+        one, and for an outlier: an image that is off what was expected, and that the one before it
+        does not confirm.
         """
         self.moved_m = 0.0
+        self._hidden |= was_hidden
         if self.wanted is not None:
             target = self._target(self.wanted, z)
             before, self._off_m = self._off_m, self._goal.off_m(target, there_s)
@@ -91,10 +92,10 @@ class Relation:
                 off_m = length(self._off_m)
                 if before is None or length(self._off_m - before) > 0.5 * off_m:
                     return None
-                if there_s - self._seen_s > MAX_GAP_S:
+                if self._hidden:
                     self.moved_m = off_m
                 self._off_m = None
-        self._object, self._seen_s = z, there_s
+        self._object, self._hidden = z, False
         return self.target(self.wanted)
 
     def target(self, wanted: np.ndarray | None) -> np.ndarray | None:

@@ -186,3 +186,16 @@ def test_the_loop_follows_the_simulators_object_on_a_belt(feature):
     target = kind.absolute(relative, simulation.true_object())
     assert np.linalg.norm(kind.minus(simulation.true_feature(), target)) < 3e-3
     simulation.close()
+
+
+def test_an_object_that_a_slow_camera_sees_in_motion_is_none_that_was_hidden(scene):
+    velocity_m = np.zeros(scene.kind.size)
+    velocity_m[0] = 0.02 * 0.25  # 20 mm/s, at 4 Hz
+    scene.ask()
+    scene.run(1.0)
+    for _ in range(12):
+        scene.object = scene.kind.retract(scene.object, velocity_m)
+        scene.tick = 0
+        scene.run(scene.loop.period_s)
+        commands = scene.run(0.25 - scene.loop.period_s, None)
+        assert commands[-1].reason is not Reason.OBJECT_MOVED

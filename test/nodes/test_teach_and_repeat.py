@@ -103,7 +103,7 @@ def test_the_program_teaches_and_goes_there(ros_test, tmp_path):
 
 
 def test_the_scenario_teaches_and_comes_again_where_the_object_has_jumped_to(ros_test):
-    few = "targets:=1", "target_s:=1.5", "image_rate_hz:=15.0", "object_tag_layout:=single"
+    few = "targets:=1", "target_s:=2.5", "image_rate_hz:=15.0", "object_tag_layout:=single"
     arguments = (word for value in (*few, "output_dir:=out") for word in ("-p", value))
     process = ros_test.start("fvs_tools.launcher", "teach", *arguments)
     assert ros_test.wait(process, 120.0) == 0, ros_test.output(process)
