@@ -597,7 +597,7 @@ _REST = tuple(
 )
 _ROWS = ("setting", "scheme")
 TABLES = (
-    lab.Table("images", _ROWS, (*_REST, "good:of"), {"part": "images"}),
+    lab.Table("images", _ROWS, (*_REST, "good:of", "failure:causes"), {"part": "images"}),
     lab.Table("rest", _ROWS, (*_REST, "to_5mm_s:half", "good:of"), {"part": "rest"}),
     lab.Table("pegs", _ROWS, tuple(f"{name}:of" for name in PEGS), {"part": "images"}),
     lab.Table("moving", ("setting",), ("rms_m:half", "rms_m:95 %"), {"part": "moving"}, "scheme"),
