@@ -244,6 +244,15 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
                 self.object_m = self.object_m + np.array(step_m) / steps
                 self.run(1, silent=() if seen else [OBJECT])
 
+    @rule(way_m=vector(N_AXES, 0.2), ticks=st.integers(0, 300))
+    def grip(self, way_m, ticks):
+        """Let the object ride on the tool, with a target relative to it."""
+        self.relate(way_m, 0)
+        for _ in range(ticks):
+            ball_m = self.ball()
+            self.run(1)
+            self.object_m = self.object_m + self.ball() - ball_m
+
     def carry_hidden(self, step_m):
         """Carry the object away while it is hidden; once it is seen, a motion needs a start."""
         self.carry(step_m, 100, False)

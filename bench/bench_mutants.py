@@ -95,6 +95,10 @@ SCRIPTS = {
         do("wait", 60),
         do("carry_hidden", (0.04, 0.03, 0.0)),
     ],
+    "an object rides on the tool": [
+        do("relate", (0.05, 0.0, 0.0), 100),
+        do("grip", (0.15, 0.0, 0.0), 300),
+    ],
     "an object falls silent": [
         do("relate", (0.05, 0.0, 0.0), 20),
         do("wait", 60, silent=[OBJECT]),

@@ -158,10 +158,10 @@ class Goal:
         self._followed.forget()
         self.progress = Progress()
 
-    def stands_still(self, now_s: float) -> bool:
-        """Whether the target does not move now, s, as far as its updates tell."""
-        _, _, velocity_m_s = self._followed.at(now_s)
-        return velocity_m_s is None or not velocity_m_s.any()
+    @property
+    def rests(self) -> bool:
+        """Whether the target has stood for a while, as far as its updates tell."""
+        return self._followed.rests
 
     def _refusal(self, target: np.ndarray, frame: str) -> str:
         """Why a target, (m,), is not accepted in this frame; empty if it is."""

@@ -161,11 +161,23 @@ class ServoLoop:
             moved = self.kind.length_text(self._relation.moved_m)
             self.supervisor.end(Reason.OBJECT_MOVED.because(moved=moved))
         if target is not None:
-            self._set_target(
-                target, self.supervisor.config.feature_frame, there_s, self._stamp_s - there_s
-            )
-            still = self.supervisor.goal.stands_still(there_s)
-            monitor.spare_s = self.supervisor.config.object_may_be_hidden_s if still else 0.0
+            frame, goal = self.supervisor.config.feature_frame, self.supervisor.goal
+            accepted, why = self._set_target(target, frame, there_s, self._stamp_s - there_s)
+            if not accepted:
+                monitor.bad(why)
+            hidden_s = self.supervisor.config.object_may_be_hidden_s
+            monitor.spare_s = hidden_s if goal.rests else 0.0
+            self._end_a_ride()
+
+    def _end_a_ride(self) -> None:
+        """End the session where the object moves with the tool, which never gets there."""
+        goal = self.supervisor.goal
+        servoing = self.supervisor.last.state is State.SERVOING
+        if not servoing or goal.z is None or goal.error_m is None:
+            self._relation.lead = None
+        elif self._relation.rides(goal.z, goal.error_m, self.supervisor.config.stall_error_m):
+            left = self.kind.error_text(goal.error_m)
+            self.supervisor.end(Reason.OBJECT_RIDES.because(left=left))
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
         """Take the Jacobian, (d, n), m/rad, and its arrival; while a chain comes, it gives it."""
@@ -211,7 +223,8 @@ class ServoLoop:
 
     def _be_relative_to_object(self, wanted: np.ndarray | None) -> None:
         self._relation.wanted = wanted
-        self.supervisor.inputs[OBJECT].needed = wanted is not None
+        monitor = self.supervisor.inputs[OBJECT]
+        monitor.needed, monitor.spare_s = wanted is not None, 0.0
         self.supervisor.goal.speed = 1.0
 
     def teach(self) -> Reference:
@@ -225,6 +238,7 @@ class ServoLoop:
         accepted, text = self.add_target(reference.z, reference.frame)
         if accepted:
             self.supervisor.goal.speed = reference.speed
+            self.supervisor.goal.progress.restart()  # it is settled anew, however near
         return accepted, text
 
     def set_current_as_target(self, now_s: float) -> tuple[bool, str]:

@@ -87,6 +87,9 @@ class Reason(Enum):
         "check camera, detector and stamp_delay_s",
     )
     OBJECT_MOVED = _ends("the object moved by {moved} while it was hidden")
+    OBJECT_RIDES = _ends(
+        "the object moves with the tool, still {left} to go", "carry it to an absolute target"
+    )
     CONFLICT = _ends("{name} commands the arm as well", "stop it")
     HELD_LONG = _ends("held for more than {limit_s:.0f} s: {why}")
     PROGRAM_STOPPED = _ends("the robot program stopped", "start it on the robot", Stop.AT_ONCE)

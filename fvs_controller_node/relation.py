@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fvs_controller_node.goal import Goal
-from fvs_ros.filter import OUTLIER
+from fvs_ros.filter import GATE_M, OUTLIER
 from fvs_ros.kinds import Kind
 from fvs_ros.vectors import length
 
@@ -23,6 +23,10 @@ from fvs_ros.vectors import length
 OBJECT_FRAME = "object"
 #: Corrections of a measurement by the lens; each leaves the lens' error as a share of the last.
 _CORRECTIONS = 4
+#: A tool that goes this far, m, while its error stays has the object in its grip.
+_RIDE_M = 0.1
+#: Standard deviation of white noise over its median distance from the median.
+_MAD = 1.4826
 #: Teaching averages over this time, s, and over as many images at least.
 _TEACH_S, _TEACH_IMAGES = 1.0, 5
 
@@ -75,6 +79,19 @@ class Relation:
         self._object: np.ndarray | None = None  # as seen last
         self._hidden = False  # before the images that do not count yet
         self._off_m: np.ndarray | None = None  # of an outlier
+        self.lead: tuple[np.ndarray, float] | None = None  # the tool then, and its error, m
+
+    def rides(self, z: np.ndarray, error_m: np.ndarray, least_m: float) -> bool:
+        """Whether the tool goes on at z, (m,), and its error, m, (d,), stays: a gripped object.
+
+        Errors below ``least_m`` are those of a tool that follows.
+        """
+        off_m = length(error_m)
+        stays = self.lead is not None and 0.9 < off_m / max(self.lead[1], 1e-9) < 1.5
+        if not stays or off_m < least_m:
+            self.lead = z, off_m
+        assert self.lead is not None
+        return length(self._kind.minus(z, self.lead[0])) > _RIDE_M
 
     def add_image(self, z: np.ndarray, there_s: float, was_hidden: bool) -> np.ndarray | None:
         """Take an image of the object, (m,), and its exposure on the joint states' clock, s.
@@ -168,6 +185,11 @@ class _Second:
             raise ValueError(f"{len(self._images)} images of {name} in the last second, expected 5")
         images = [z for _, z in self._images]
         steps_m = np.array([self._kind.minus(z, images[-1]) for z in images])
+        # Without a few outliers: further from the median than noise in any coordinate.
+        off_m = np.abs(steps_m - np.median(steps_m, axis=0))
+        near = np.all(off_m <= OUTLIER * _MAD * np.median(off_m, axis=0) + GATE_M, axis=1)
+        if np.mean(near) > 0.9:
+            steps_m = steps_m[near]
         count = len(steps_m)
         # Second differences are blind to a drift, which must not count as noise.
         noise_m2 = np.mean(np.diff(steps_m, 2, axis=0) ** 2) / 6.0

@@ -32,6 +32,8 @@ _LEAST, _MOST = 3, 64
 _ONCE_IN = 1e4
 #: Largest residual variance of a polynomial over the learned noise variance.
 _SCATTER = 2.0
+#: After so many updates in which it does not move, it rests; its noise is known then, too.
+_RESTING = 12
 #: Least noise, m.
 _LEAST_NOISE_M = 5e-6
 #: Shortest window, s and updates, and the ratio of the next longer one: a longer one is calmer, a
@@ -92,6 +94,11 @@ class TargetMotion:
         self._age_s = 0.0  # of the last one when it came
 
     @property
+    def rests(self) -> bool:
+        """Whether it has stood for a while, as far as its updates tell."""
+        return len(self._updates) >= _RESTING and self._curve is not None and len(self._curve) == 1
+
+    @property
     def noise_m(self) -> float:
         """Standard deviation of a coordinate of a measurement, as learned, m."""
         return float(np.mean(self._noise.variance_m2) ** 0.5)
@@ -147,14 +154,16 @@ class TargetMotion:
         """Where it is now, s, as a measurement, (m,), and on its path, m, (d,); and how fast, m/s.
 
         After the last update it continues for a few intervals, without curvature after the first
-        one. Then it stands there. No velocity where it stands, and no measurement before the first.
+        one. Then it stands where it was last; if it rests, in the mean of its places. No velocity
+        where it stands, and no measurement before the first.
         """
         stands, curve = (self.last, self.path_m, None), self._curve
         if curve is None:
             return stands
         since_s = now_s - self._updates[-1][0]
         # A target stamped slightly ahead of the joint states is interpolated backwards.
-        if not -_OWN_CLOCK_S < since_s < self._age_s + min(MAX_GAP_S, 3.0 * self._interval_s):
+        goes_on_s = inf if self.rests else self._age_s + min(MAX_GAP_S, 3.0 * self._interval_s)
+        if not -_OWN_CLOCK_S < since_s < goes_on_s:
             return stands
         position_m, velocity_m_s = curve[0], np.zeros(self._kind.size)
         if len(curve) > 1:

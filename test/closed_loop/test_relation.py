@@ -193,9 +193,67 @@ def test_an_object_that_a_slow_camera_sees_in_motion_is_none_that_was_hidden(sce
     velocity_m[0] = 0.02 * 0.25  # 20 mm/s, at 4 Hz
     scene.ask()
     scene.run(1.0)
-    for _ in range(12):
-        scene.object = scene.kind.retract(scene.object, velocity_m)
+    for image in range(24):
+        if image >= 12:
+            scene.object = scene.kind.retract(scene.object, velocity_m)
         scene.tick = 0
         scene.run(scene.loop.period_s)
         commands = scene.run(0.25 - scene.loop.period_s, None)
         assert commands[-1].reason is not Reason.OBJECT_MOVED
+
+
+def test_a_lone_wrong_image_does_not_shift_what_is_taught(scene):
+    scene.run(0.5)
+    scene.run(scene.loop.period_s, lambda s: s.kind.retract(s.object, np.full(s.kind.size, 0.05)))
+    scene.run(0.5)
+    taught = scene.loop.loop.teach()
+    true = scene.kind.relative(scene.loop.true_feature, scene.object)
+    assert np.linalg.norm(scene.kind.minus(taught.z, true)) < 1e-3
+
+
+def test_an_object_in_the_grip_does_not_lead_the_arm_away(scene):
+    scene.ask()
+    scene.run(2.0)
+    gripped = scene.kind.relative(scene.object, scene.loop.true_feature)
+
+    def rides(scene):
+        scene.object = scene.kind.absolute(gripped, scene.loop.true_feature)
+        return scene.measured()
+
+    start = scene.loop.true_feature
+    further_m = np.zeros(scene.kind.size)
+    further_m[0] = 0.05
+    scene.relative = scene.kind.retract(scene.relative, further_m)
+    scene.ask()
+    commands = scene.run(3.0, rides)
+    assert commands[-1].reason is Reason.OBJECT_RIDES
+    assert np.linalg.norm(scene.kind.minus(scene.loop.true_feature, start)) < 0.25
+
+
+def test_an_object_that_leaves_the_workspace_holds_the_arm(scene):
+    scene.ask()
+    scene.run(1.0)
+    scene.object = scene.kind.retract(scene.object, np.eye(scene.kind.size)[0] * 3.0)
+    commands = scene.run(0.5)
+    assert commands[-1].reason is Reason.BAD_INPUT
+    assert "workspace_max_m" in commands[-1].text
+
+
+def test_where_a_hidden_object_stood_is_known_by_all_its_images(scene):
+    scene.ask()
+    scene.run(2.0)
+    error_m = scene.error_m
+    scene.run(1.0, None)
+    assert scene.error_m < error_m + 2e-4
+
+
+def test_an_object_that_moved_under_an_absolute_target_may_not_be_hidden(scene):
+    scene.ask()
+    scene.run(1.0)
+    loop = scene.loop.loop
+    assert loop.add_target(scene.loop.true_feature, loop.supervisor.config.feature_frame)[0]
+    scene.object = scene.kind.retract(scene.object, np.full(scene.kind.size, 0.02))
+    scene.run(0.1)
+    scene.run(0.5, None)
+    scene.ask()
+    assert scene.run(0.1, None)[-1].reason is Reason.STALE
