@@ -64,25 +64,30 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
-def names_given_to(node: str) -> set[str]:
-    """Parameters that command line or files give to a node by its name; empty: by ``-p`` to all."""
+def names_from_options() -> set[str]:
+    """Parameters that the command line gives to all nodes of the process, by ``-p name:=value``."""
+    names = {
+        word.partition(":=")[0] for flag, word in pairwise(sys.argv) if flag in ("-p", "--param")
+    }
+    return {n for n in names if ":" not in n and not n.startswith(BUILT_IN_PARAMETERS)}
+
+
+def _names_of_all_nodes(namespace: str) -> set[str]:
+    """Parameters that files give to all nodes, or to all of a namespace."""
     names = set[str]()
     for flag, word in pairwise(sys.argv):
-        if flag in ("-p", "--param"):
-            to, _, name = word.partition(":=")[0].rpartition(":")
-            names |= {name} if to.rpartition("/")[2] == node else set()
-        for key in (node, f"/{node}", f"/**/{node}") if flag == "--params-file" and node else ():
+        for key in ("/**", f"{namespace}/**") if flag == "--params-file" else ():
             with contextlib.suppress(RuntimeError):  # it has no such section
                 names |= parameter_dict_from_yaml_file(word, target_nodes=[key]).keys()
-    return {name for name in names if not name.startswith(BUILT_IN_PARAMETERS)}
+    return names
 
 
 class FvsNode(Node):
     """A node with declared parameters, watched inputs and diagnostics.
 
-    A parameter given at start with a wrong value, or that is not the node's under its name, is a
-    ``ParameterError``. Of what is given to all nodes the rest is left to others, unless its name is
-    a slip of one of this node's.
+    A parameter given at start with a wrong value, or to this node without being its own, is a
+    ``ParameterError``. What a file gives to all nodes and this one has not is ignored with a
+    warning, unless its name is a slip of one of this node's.
     """
 
     #: Set to end the process with this exit code.
@@ -120,13 +125,15 @@ class FvsNode(Node):
             if not name.startswith(BUILT_IN_PARAMETERS)
         }
         own = self.parameter_set
-        others = [name for name in overrides if name not in own]
+        elsewhere = names_from_options()  # in this process, which checks them
+        others = [n for n in overrides if n not in own and n not in elsewhere]
+        shared = _names_of_all_nodes(self.get_namespace()) if others else ()
         for name in others:
-            if name in names_given_to(self._declared_name) or own.is_slip(name):
+            if name not in shared or own.is_slip(name):
                 own[name]  # raises
         values = own.values({n: v for n, v in overrides.items() if n in own})
         if others:
-            self.tell(OK, f"parameters of other nodes are left to them: {', '.join(others)}")
+            self.tell(WARN, f"given to all nodes, no parameters of this one: {', '.join(others)}")
         for name in overrides:
             self.undeclare_parameter(name)
         for parameter in self.parameter_set:

@@ -19,7 +19,7 @@ from fvs_ros import console, stop
 from fvs_ros.arguments import listing
 from fvs_ros.params import Parameter, ParameterSet
 from fvs_ros.paths import find_file
-from fvs_ros.ros.node import FvsNode, names_given_to
+from fvs_ros.ros.node import FvsNode, names_from_options
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 
 try:
@@ -64,7 +64,7 @@ def run(
             return _refused(str(error))
         try:
             known = ParameterSet(parameters)
-            for name in names_given_to(""):
+            for name in names_from_options():
                 known[name]  # an error if no node of this process has it
             made = make(words) if takes else make()
         except (ValueError, OSError, NameValidationException, ParameterException) as error:

@@ -145,20 +145,25 @@ def test_another_cameras_names_lossy_images_and_late_stamps(ros_test):
     assert min(ahead_s, camera.period_s - ahead_s) < 1e-5
 
 
-def start_with_file(ros_test, section="/**", **parameters):
+def start_with_file(ros_test, section="/**", remaps=(), **parameters):
     """A detector with a file of parameters, of all nodes or of one."""
     file = ros_test.folder / "all.yaml"
     file.write_text(f"{section}: {{ros__parameters: {json.dumps(parameters)}}}\n")
-    return ros_test.start(NODE, "--ros-args", "--params-file", str(file))
+    return ros_test.start(NODE, "--ros-args", "--params-file", str(file), *remaps)
 
 
 def test_a_file_of_all_nodes_may_hold_no_slip_and_one_of_a_node_nothing_of_others(ros_test):
     detector = start_with_file(ros_test, ball_radus_m=0.03)
     assert ros_test.wait(detector) == 2
     assert "unknown parameter 'ball_radus_m'" in ros_test.output(detector)
-    detector = start_with_file(ros_test, "/**/fvs_detector_node", tf_prefix="left_")
-    assert ros_test.wait(detector) == 2
-    assert "unknown parameter 'tf_prefix'" in ros_test.output(detector)
+    for section, remaps in (
+        ("/**/fvs_detector_node", ()),
+        ("/left/fvs_detector_node", ("-r", "__ns:=/left")),
+        ("own_name", ("-r", "__node:=own_name")),
+    ):
+        detector = start_with_file(ros_test, section, remaps, tf_prefix="left_")
+        assert ros_test.wait(detector) == 2
+        assert "unknown parameter 'tf_prefix'" in ros_test.output(detector)
 
 
 def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
@@ -184,7 +189,7 @@ def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
     assert not watched.balls
     assert ros_test.stop(detector) == 0
     assert "Traceback" not in ros_test.output(detector)
-    assert "other nodes are left to them: tf_prefix" in ros_test.output(detector)
+    assert "given to all nodes, no parameters of this one: tf_prefix" in ros_test.output(detector)
 
 
 def test_tool_and_object_are_published_from_one_image_and_each_without_the_other(ros_test):
