@@ -23,8 +23,9 @@ from fvs_ros.vectors import check_arrays
 _VERSION = 1
 #: Two hours at 200 Hz stay below this; a larger file is refused.
 _MAX_BYTES = 2**28
-#: Longest error sentence, and most notes of a model and longest of them: a file may hold anything.
-_LONGEST_ERROR, _MOST_NOTES, _LONGEST_NOTE = 800, 20, 500
+#: Longest error sentence and names quoted in it, most notes of a model and longest of them: a file
+#: may hold anything.
+_LONGEST_ERROR, _LONGEST_QUOTE, _MOST_NOTES, _LONGEST_NOTE = 800, 300, 20, 500
 #: Measurements of the training that a model keeps.
 _Z_SAMPLES = 500
 #: Numbers that are further than this from any measurement of their kind are none.
@@ -340,11 +341,14 @@ def _content(
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
     """The arrays of a file by name, without trust in its headers."""
+    with path.open("rb") as file:
+        if file.read(4) != b"PK\x03\x04":  # np.load would advise to trust it as a pickle
+            raise ValueError("is no .npz file")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            total = sum(member.file_size for member in file.zip.infolist())
+        with np.load(path, allow_pickle=False) as arrays:
+            total = sum(member.file_size for member in arrays.zip.infolist())
             if total <= _MAX_BYTES:
-                return {name: _number_or_text(name, file[name]) for name in file.files}
+                return {name: _number_or_text(name, arrays[name]) for name in arrays.files}
     except OSError:
         raise
     except Exception as error:  # those of zipfile, zlib, lzma and numpy have no common base
@@ -357,6 +361,8 @@ def _number_or_text(name: str, value: Any) -> np.ndarray:
     array = np.asarray(value)  # of a member that is no array: its bytes
     if array.dtype.kind not in "biufU":
         raise ValueError(f"{name} is of type {array.dtype}, expected numbers or text")
+    if not array.itemsize:  # any number of them would take no bytes here, and hours as a list
+        raise ValueError(f"{name} holds texts without characters")
     return array
 
 
@@ -375,10 +381,11 @@ class _Content(dict[str, Any]):
         if version != _VERSION:
             raise ValueError(f"{kind} version {version!r}, this program reads version {_VERSION}")
         names, frame = self.texts("joint_names"), self.text("feature_frame")
+        quoted = str(list(names))[:_LONGEST_QUOTE]
         if not names or len(set(names)) != len(names):
-            raise ValueError(f"names the joints {list(names)}, expected different names")
+            raise ValueError(f"names the joints {quoted}, expected different names")
         if joint_names is not None and names != tuple(joint_names):
-            raise ValueError(f"joint order {list(names)}, expected {list(joint_names)}")
+            raise ValueError(f"joint order {quoted}, expected {list(joint_names)}")
         feature = self.text("feature") if "feature" in self else KindConfig.feature
         if feature not in KINDS:
             raise ValueError(f"made for feature {feature!r}, expected {', '.join(KINDS)}")

@@ -132,7 +132,7 @@ WRONG = [
     ("model", {"format": np.array("fvs_other")}, "is of format 'fvs_other', expected 'fvs_"),
     ("model", {"widths": np.zeros((3, 3, 3))}, "widths has shape"),
     ("model", {"widths": -np.ones((6, 4))}, "widths must be positive"),
-    ("model", {"joint_names": np.array(["a", "a"])}, "expected different names"),
+    ("model", {"joint_names": np.array(["a"] * 999)}, "expected different names"),
     ("model", {"provenance": np.array("[1]")}, "not a JSON object"),
     ("model", {"joint_box_rad": np.array([[1.0] * 6, [-1.0] * 6])}, "least value above"),
     ("model", {"chain_feature_m": None}, "lacks the field 'chain_feature_m'"),
@@ -146,6 +146,15 @@ def test_what_cannot_be_is_refused(tmp_path, name, changes, words):
     kind[0](path, kind[2]())
     rewrite(path, **changes)
     refused(kind, path, words)
+
+
+def test_other_files_are_refused_without_advice_to_trust_them(kind, tmp_path):
+    path = tmp_path / "x.npz"
+    array = io.BytesIO()
+    np.save(array, np.zeros(3))
+    for content in (b"", b"some text", array.getvalue()):
+        path.write_bytes(content)
+        refused(kind, path, "x.npz: is no .npz file$")
 
 
 def test_pickles_are_not_opened(kind, written, tmp_path):
@@ -272,6 +281,13 @@ except ValueError as error:
 """
 
 
+def endless_names():
+    """A model of more joints than a list can take, whose names need no bytes."""
+    yield "format.npy", claim("<U13", (), "fvs_rbf_model".encode("utf-32-le"))
+    yield "version.npy", claim("<i8", (), (1).to_bytes(8, "little"))
+    yield "joint_names.npy", claim("<U0", (10**9,))
+
+
 def laughs(levels):
     lists = ["&a0 [x, x, x, x, x, x, x, x, x]"]
     lists += [f"&a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, levels)]
@@ -283,6 +299,7 @@ def laughs(levels):
     ("name", "content"),
     [
         ("bomb.npz", lambda: pack([("bomb.npy", claim("|u1", (2**28,), bytes(2**28)))])),
+        ("texts.npz", lambda: pack(endless_names())),
         ("laughs.yaml", lambda: laughs(12)),
         ("sparse.yaml", None),  # 4 GB that take no room on the disk
     ],
