@@ -259,7 +259,12 @@ def main(argv: list[str] | None = None) -> int:
         )
         if arguments.train and topics.COLLECTOR not in scenario:
             raise ValueError(f"--train: {arguments.scenario} starts no {topics.COLLECTOR}")
-        Path(arguments.train).parent.mkdir(parents=True, exist_ok=True)
+        if arguments.train:
+            from fvs_tools import train  # slow to import
+
+            model = Path(arguments.train)
+            model.parent.mkdir(parents=True, exist_ok=True)
+            train.check_output(model)
     except (ValueError, OSError) as error:
         print(f"fvs_launch: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
@@ -269,8 +274,7 @@ def main(argv: list[str] | None = None) -> int:
     code = launch(scenario, arguments.namespace, arguments.remap)
     if not arguments.train or code != EXIT_OK or stop.RECEIVED:
         return code
-    from fvs_estimator_node.collecting import CollectorConfig  # slow to import
-    from fvs_tools import train
+    from fvs_estimator_node.collecting import CollectorConfig
 
     data = scenario[topics.COLLECTOR].get("output_path", CollectorConfig.output_path)
     return train.main([data, "-o", arguments.train, "--method", "poe"])

@@ -28,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         of_table = arguments.data.suffix == ".csv"
         data = read_table(arguments.data)[0] if of_table else load_data_set(arguments.data)
-        _check_output(arguments.output)
+        check_output(arguments.output)
         trained = _train(data, arguments)
         provenance = {
             **trained.provenance,
@@ -100,7 +100,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _check_output(path: Path) -> None:
+def check_output(path: Path) -> None:
     """Check before the training that the model can be written."""
     if path.is_dir():
         raise ValueError(f"{path} is a folder, expected the name of a model file to write")

@@ -152,6 +152,7 @@ REFUSED = [
     (MODULE, ["servo", "--namespace", "a b"], "cannot start: "),
     (MODULE, ["servo", "-r", "a"], "cannot start: "),
     (MODULE, ["servo", "--train", "x.npz"], "servo starts no fvs_collector_node"),
+    (MODULE, ["collect_minute", "--train", "/tmp"], "/tmp is a folder, expected the name of"),
     (SERVO, ["left", "right", "right"], "/right/fvs_controller_node, /right/fvs_est"),
     (SERVO, ["a", "b", "--ros-args", "-r", "__ns:=/lab"], "neither __ns nor __node may be"),
     (SERVO, ["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "unknown parameter 'method'"),
