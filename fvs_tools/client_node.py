@@ -1,11 +1,11 @@
 """``fvs_servo``: teach references, and go to them.
 
     fvs_servo teach grasp        keep where the tool is, seen from the object
-    fvs_servo go grasp retreat   one after the other, each until it is reached
+    fvs_servo go grasp retreat   one after the other, each until it is reached; then it stays there
     fvs_servo follow grasp       go there, and stay with the object
     fvs_servo stop
 
-Ctrl-C stops the arm.
+A signal (Ctrl-C) stops the arm, and so does what ``go`` or ``follow`` cannot reach.
 """
 
 from __future__ import annotations
@@ -24,14 +24,16 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
-from fvs_ros import ros, topics
+from fvs_ros import ros, stop, topics
 from fvs_ros.arguments import Parser
-from fvs_ros.stop import EXIT_FAILURE, EXIT_OK
 
 #: A service answers within this time, s, or nobody is there.
 _ANSWER_S = 10.0
+#: Settled for this time, s, is reached: the last millimetres are behind the arm, too.
+_REST_S = 0.5
 #: Verb -> fewest and most names.
 _VERBS: dict[str, tuple[float, float]] = {
     "teach": (1, 1),
@@ -63,7 +65,8 @@ class ServoClient:
     ----------
     node : Node, optional
         Its context and namespace are used; without one, those of ``rclpy.init``, which is called if
-        need be.
+        need be. Its methods work after Ctrl-C, too; where you call ``rclpy.init``, only with
+        ``signal_handler_options=SignalHandlerOptions.NO``.
     namespace : str, optional
         The controller's, where the node has another.
 
@@ -77,7 +80,7 @@ class ServoClient:
         context = None if node is None else node.context
         self._owns_context = node is None and not rclpy.ok()
         if self._owns_context:
-            rclpy.init()
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         if namespace is None:
             namespace = "" if node is None else node.get_namespace()
         name = f"fvs_servo_client_{time.time_ns() % 10**9}"
@@ -91,13 +94,14 @@ class ServoClient:
             DiagnosticStatus, topics.CONTROLLER + "/status", self._on_status, ros.QOS_NEWEST
         )
         self._clients: dict[str, Any] = {}
+        self._end_s = inf  # of every wait, steady time
 
     def close(self) -> None:
         """End the client; the arm goes on with what it does."""
         self._executor.shutdown()
         self._node.destroy_node()
         if self._owns_context:
-            rclpy.shutdown()
+            rclpy.try_shutdown()
 
     # ---- the verbs ----------------------------------------------------------------------------
 
@@ -123,6 +127,8 @@ class ServoClient:
     ) -> Result:
         """Go to a reference, and wait until it is reached, given up or out of time.
 
+        Once it is reached, the arm stays there, also if the object moves on.
+
         Parameters
         ----------
         name : str
@@ -132,18 +138,27 @@ class ServoClient:
         feedback : callable, optional
             Gets the controller's sentences on the way.
         """
-        begin_s = time.monotonic()
-        self.follow(name)
-        seen = self._next_status()  # the one after the present one is of this reference
+        begin_s = near_s = time.monotonic()
+        self._end_s = begin_s + timeout_s
+        try:
+            self.follow(name)
+            status = self._next_status()  # the one after the present one is of this reference
+        finally:
+            self._end_s = inf
         while True:
-            seen, words = self._next_status(), seen.message
-            values, passed_s = ros.from_status(seen), time.monotonic() - begin_s
-            if feedback is not None and seen.message != words:
-                feedback(seen.message)
-            reached = values.get("settled") == "true" and values.get("state") == "SERVOING"
-            if reached or passed_s > timeout_s or values.get("started") == "false":
+            words = status.message
+            status = self._next_status(begin_s + timeout_s)
+            values, now_s = ros.from_status(status), time.monotonic()
+            if feedback is not None and status.message != words:
+                feedback(status.message)
+            if values.get("settled") != "true" or values.get("state") != "SERVOING":
+                near_s = now_s
+            reached = now_s - near_s > _REST_S
+            if reached:
+                self._call("set_current_as_target")
+            if reached or now_s - begin_s > timeout_s or values.get("started") == "false":
                 error_m = float(values.get("error_m", "nan"))
-                return Result(reached, error_m, passed_s, seen.message)
+                return Result(reached, error_m, now_s - begin_s, status.message)
 
     def stop(self) -> str:
         """Bring the arm to rest."""
@@ -154,9 +169,13 @@ class ServoClient:
     def _on_status(self, message: DiagnosticStatus) -> None:
         self._status = message
 
-    def _next_status(self) -> DiagnosticStatus:
-        self._status = None
-        self._spin(lambda: self._status is not None, "the controller's status")
+    def _next_status(self, end_s: float = inf) -> DiagnosticStatus:
+        """The next status; from a time on, s, the last one."""
+        before = self._status
+        self._spin(
+            lambda: self._status is not before or time.monotonic() > end_s,
+            "the controller's status",
+        )
         assert self._status is not None
         return self._status
 
@@ -184,10 +203,14 @@ class ServoClient:
         return future.result()
 
     def _spin(self, condition: Callable[[], bool], what: str) -> None:
-        end_s = time.monotonic() + _ANSWER_S
+        begin_s = time.monotonic()
+        end_s = min(begin_s + _ANSWER_S, self._end_s)
         while not condition():
+            if stop.RECEIVED:
+                raise KeyboardInterrupt
             if time.monotonic() > end_s:
-                raise ServoError(f"waited {_ANSWER_S:g} s for {what}: does the controller run?")
+                waited_s = max(0.0, end_s - begin_s)
+                raise ServoError(f"waited {waited_s:.1f} s for {what}: does the controller run?")
             self._executor.spin_once(timeout_sec=0.05)
 
 
@@ -198,30 +221,45 @@ def main() -> int:
     fewest, most = _VERBS[given.verb]
     if not fewest <= len(given.names) <= most:
         parser.error(f"{given.verb} takes {fewest} to {most} names, got {len(given.names)}")
-    with closing(ServoClient(namespace=given.namespace)) as client:
-        try:
+    stop.listen()
+    try:
+        with closing(ServoClient(namespace=given.namespace)) as client:
             return _do(client, given)
-        except ServoError as error:
-            print(error, file=sys.stderr)
-        except KeyboardInterrupt:
-            print(client.stop())
-    return EXIT_FAILURE
+    except ServoError as error:
+        print(error, file=sys.stderr)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+    return stop.EXIT_FAILURE
 
 
 def _do(client: ServoClient, given: argparse.Namespace) -> int:
     if given.verb == "stop":
         print(client.stop())
+    elif given.verb == "teach":
+        print(client.teach(*given.names))
+    else:
+        done = False
+        try:
+            done = _move(client, given)
+        finally:
+            if not done or stop.RECEIVED:
+                stop.RECEIVED.clear()  # the next signal ends the wait for the answer, too
+                print(client.stop())
+        return stop.EXIT_OK if done else stop.EXIT_FAILURE
+    return stop.EXIT_OK
+
+
+def _move(client: ServoClient, given: argparse.Namespace) -> bool:
+    if given.verb == "follow":
+        print(client.follow(*given.names))
+        return True
     for name in given.names:
-        if given.verb == "go":
-            result = client.go_to(name, given.timeout_s, print)
-            how = "reached" if result.reached else "not reached"
-            print(f"{name}: {how} in {result.time_s:.1f} s; {result.reason}")
-            if not result.reached:
-                client.stop()
-                return EXIT_FAILURE
-        else:
-            print(client.teach(name) if given.verb == "teach" else client.follow(name))
-    return EXIT_OK
+        result = client.go_to(name, given.timeout_s, print)
+        how = "reached" if result.reached else "not reached"
+        print(f"{name}: {how} in {result.time_s:.1f} s; {result.reason}")
+        if not result.reached:
+            return False
+    return True
 
 
 def _parser() -> argparse.ArgumentParser:

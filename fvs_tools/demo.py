@@ -39,7 +39,7 @@ class DemoConfig(BodyConfig):
 
 PARAMETERS = DemoConfig.declared()
 
-#: Longest wait for the loop to be ready, s: all nodes may start on a busy machine.
+#: Longest wait for the loop to be ready once the controller runs, s of real and of loop time.
 START_TIMEOUT_S = 30.0
 #: Farthest jump of an object along and across the table and up, m, and about its vertical, rad.
 _JUMP_M, _JUMP_RAD = np.array([0.12, 0.12, 0.05]), np.radians(30.0)

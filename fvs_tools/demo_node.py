@@ -39,7 +39,8 @@ class DemoNode(ros.FvsNode):
         self._records: list[demo.TargetRecord] = []
         self._state = self._reason = ""
         self._wants_target = False
-        self._began_s = self.steady_s()
+        self._began_s: float | np.ndarray = np.inf  # both clocks at the controller's first status
+        print("waiting for the controller", flush=True)
         self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
         self._target = self.publisher(kind.topics.target)
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
@@ -61,6 +62,8 @@ class DemoNode(ros.FvsNode):
     def _on_status(self, message: DiagnosticStatus) -> None:
         values = ros.from_status(message)
         state, before = values.get("state", ""), self._state
+        if not before:
+            self._began_s = self._clocks_s()
         self._state, self._reason = state, message.message
         if self._records:
             record = self._records[-1]
@@ -160,11 +163,14 @@ class DemoNode(ros.FvsNode):
             flush=True,
         )
 
+    def _clocks_s(self) -> np.ndarray:
+        """Both times, s: a busy machine slows the loop's, an idle simulator hurries it."""
+        return np.array([self.steady_s(), self.now_s()])
+
     def _poll(self) -> None:
-        now_s = self.steady_s()
-        if not self._records and now_s - self._began_s > demo.START_TIMEOUT_S:
-            reason = self._reason or "no status from the controller; is it running?"
-            print(f"the loop did not get ready: {self._state} {reason}", flush=True)
+        waited_s = np.min(self._clocks_s() - self._began_s)
+        if not self._records and waited_s > demo.START_TIMEOUT_S:
+            print(f"the loop did not get ready: {self._state} {self._reason}", flush=True)
             self.exit_code = stop.EXIT_FAILURE
         late_s = self.monitor(self._kind.topics.truth.name).age_s(self.now_s())
         if self._records and late_s > 5.0:

@@ -1,8 +1,10 @@
 """Teach and repeat with a real controller: the object comes from somebody else's tracker."""
 
 import json
+import signal
 
 import numpy as np
+import pytest
 from geometry_msgs.msg import PointStamped
 from harness import PlayedRobot, Statuses
 from std_srvs.srv import Trigger
@@ -35,6 +37,10 @@ class Kitchen(Statuses):
 
     def call(self, service):
         return self.harness.call(Trigger, f"{NAME}/{service}")
+
+    def run(self, *arguments):
+        process = self.harness.start("fvs_tools.client_node", *arguments)
+        return self.harness.wait(process, 40.0), self.harness.output(process)
 
     def off_m(self, from_object_m):
         return np.linalg.norm(self.robot.ball - self.object_m - from_object_m)
@@ -84,22 +90,39 @@ def test_the_program_teaches_and_goes_there(ros_test, tmp_path):
     kitchen = Kitchen(ros_test, tmp_path / "references.yaml")
     taught_m = kitchen.robot.ball - kitchen.object_m
 
-    def run(*arguments):
-        process = kitchen.harness.start("fvs_tools.client_node", *arguments)
-        return kitchen.harness.wait(process, 40.0), kitchen.harness.output(process)
-
-    code, words = run("teach", "grasp")
+    code, words = kitchen.run("teach", "grasp")
     assert code == 0, words
     kitchen.object_m = kitchen.object_m + [0.05, -0.04, 0.05]
-    code, words = run("go", "grasp")
+    code, words = kitchen.run("go", "grasp")
     assert code == 0, words
     assert "grasp: reached in" in words
-    assert kitchen.off_m(taught_m) < 0.005
-    code, words = run("go", "grasp", "place")
+    there_m = kitchen.robot.ball
+    assert kitchen.off_m(taught_m) < 0.002
+    kitchen.object_m = kitchen.object_m + [0.0, 0.1, 0.0]
+    kitchen.harness.spin_for(0.5)
+    assert np.linalg.norm(kitchen.robot.ball - there_m) < 0.002, "it follows the object"
+
+    code, words = kitchen.run("go", "grasp", "place")
     assert code == 1
     assert "unknown reference 'place'" in words
-    assert run("stop")[0] == 0
+    kitchen.wait(lambda: kitchen.reason() == "READY", what="a stop")
+    assert kitchen.run("follow", "grasp")[0] == 0
+    assert kitchen.run("stop")[0] == 0
     kitchen.wait(lambda: kitchen.reason() == "READY", what="READY")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_the_arm(ros_test, tmp_path, number):
+    kitchen = Kitchen(ros_test, tmp_path / "references.yaml")
+    assert kitchen.call("teach").success
+    kitchen.harness.set_parameters(NAME, settled_error_m=1e-5)  # never reached
+    kitchen.object_m = kitchen.object_m + [0.05, -0.04, 0.05]
+    process = kitchen.harness.start("fvs_tools.client_node", "go", "grasp")
+    kitchen.wait(lambda: kitchen.reason() == "SERVOING", what="SERVOING")
+    assert kitchen.harness.stop(process, number) == 1
+    words = kitchen.harness.output(process)
+    assert "Traceback" not in words, words
+    kitchen.wait(lambda: kitchen.reason() == "READY", what="a stop")
 
 
 def test_the_scenario_teaches_and_comes_again_where_the_object_has_jumped_to(ros_test):
