@@ -177,7 +177,7 @@ class Inbox:
             return True
         wanted = " x ".join(map(str, shape))
         self[name].bad(
-            f"expected {wanted} finite numbers up to {LARGEST:g} in metres and radians, "
+            f"expected {wanted} finite numbers, up to {LARGEST:g} m or rad, "
             f"got {values.tolist() if fits else f'shape {values.shape}'}"
         )
         return False

@@ -121,7 +121,7 @@ class References:
         frame = entry.get(_FRAME)
         if not isinstance(frame, str):
             raise ValueError("frame is missing: object, or the camera's frame")
-        z = kind.checked(kind.parse(np.array([_number(entry, name) for name in kind.columns])))
+        z = kind.parse(np.array([_number(entry, name) for name in kind.columns]))
         return Reference(z, frame, speed, _number(entry, _DEVIATION, 0.0))
 
 

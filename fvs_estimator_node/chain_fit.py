@@ -182,6 +182,8 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
     ChainFitError
         If there is too little data, or nothing fits.
     """
+    if not data.kind.rigid:
+        raise ChainFitError(f"a {data.kind.what} is no rigid body, so there is no chain to find")
     say = progress or (lambda words: None)
     path = Path(data)
     unknown = 4 * data.joints_rad.shape[1] + data.z.shape[1]
@@ -196,8 +198,6 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
             f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}; still poses have "
             f"joints at rest for {MAX_OFFSET_S:g} s before each image, or no stamp_s in a table"
         )
-    if not data.kind.rigid:
-        raise ChainFitError(f"a {data.kind.what} is no rigid body, so there is no chain to find")
     if not plausible(data.z):
         raise ChainFitError(f"the {data.kind.what} has a place above {LARGEST:g} m: metres?")
     if np.linalg.norm(data.z.std(axis=0)) < 1e-3:

@@ -55,8 +55,11 @@ class _OfFeature:
 
     @property
     def kind(self) -> Kind:
-        """The kind of feature, with the usual parameters where m does not tell them."""
-        return KINDS[self.feature].of_numbers(getattr(self, self._measured).shape[1])
+        """The kind of feature, with the usual parameters; a ``ValueError`` if m is not its own."""
+        kind, count = KINDS[self.feature](), getattr(self, self._measured).shape[1]
+        if count != kind.numbers:
+            raise ValueError(f"a {kind.name} has {kind.numbers} numbers, got {count}")
+        return kind
 
     def _check_numbers(self) -> None:
         """A ``ValueError`` if the measurements are none of the kind."""

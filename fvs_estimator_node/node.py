@@ -79,8 +79,11 @@ class EstimatorNode(ros.FvsNode):
         self._use(values)
 
     def _load_model(self, config: EstimatorConfig, joint_names: list[str]) -> TrainedModel:
+        name = config.model_path or self._kind.model
+        if not name:
+            raise ValueError(f"model_path: no model comes with a {self._kind.what}; train one")
         try:
-            path = find_file(config.model_path or self._kind.model)
+            path = find_file(name)
         except FileNotFoundError as error:
             raise ValueError(f"model_path: {error}; train one with fvs_train") from error
         trained = load_model(path, joint_names, config)

@@ -36,7 +36,7 @@ class Ball(Kind):
     def read(self, message: Any) -> np.ndarray:
         """Position of a ``PointStamped``, m, (3,)."""
         point = message.point
-        return self.checked(np.array([point.x, point.y, point.z], dtype=float))
+        return self.parse(np.array([point.x, point.y, point.z], dtype=float))
 
     def write(self, message: Any, z: np.ndarray) -> None:
         """Fill in a ``PointStamped``."""

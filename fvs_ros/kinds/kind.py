@@ -11,7 +11,7 @@ import numpy as np
 from fvs_ros.chain import cross_matrix
 from fvs_ros.params import Parameters
 from fvs_ros.topics import KindTopics
-from fvs_ros.vectors import length, plausible
+from fvs_ros.vectors import LARGEST, length, plausible
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,6 @@ class Kind(Parameters):
     box_size, least_joints = 3, 1
     rigid = flat = True
 
-    @classmethod
-    def of_numbers(cls, count: int) -> Kind:
-        """The kind whose measurements have m numbers; a ``ValueError`` if there is none."""
-        kind = cls()
-        if count != kind.numbers:
-            raise ValueError(f"a {kind.name} has {kind.numbers} numbers, got {count}")
-        return kind
-
     @cached_property
     def unit(self) -> np.ndarray:
         """Length of what a message gives as 1, m, (d,)."""
@@ -88,7 +80,8 @@ class Kind(Parameters):
     def checked(self, z: np.ndarray) -> np.ndarray:
         """A measurement, (m,); a ``ValueError`` if it is not finite, or too far away."""
         if not plausible(self.weights * z):
-            raise ValueError(f"is not finite, or too far: {z.tolist()}")
+            numbers = self.columns_of(z).tolist()
+            raise ValueError(f"is not finite, or further than {LARGEST:g} m: {numbers}")
         return z
 
     def read(self, message: Any) -> np.ndarray:
@@ -116,10 +109,14 @@ class Kind(Parameters):
         """Measurement of the numbers that a person writes, finite; a ``ValueError`` if wrong."""
         if len(numbers) != len(self.columns):
             raise ValueError(f"expected {len(self.columns)} numbers, got {len(numbers)}")
+        return self.checked(self.of_columns(numbers))
+
+    def of_columns(self, numbers: np.ndarray) -> np.ndarray:
+        """Measurement of the numbers that a person writes; unchecked."""
         return numbers
 
     def columns_of(self, z: np.ndarray) -> np.ndarray:
-        """The numbers that a person writes of a measurement: the inverse of ``parse``."""
+        """The numbers that a person writes of a measurement: the inverse of ``of_columns``."""
         return z
 
     # ---- motion ------------------------------------------------------------------------------
@@ -213,7 +210,8 @@ class Kind(Parameters):
 
     def text(self, z: np.ndarray) -> str:
         """A measurement in words."""
-        return f"({', '.join(f'{1e3 * number:.1f}' for number in z)}) mm"
+        lengths_m = self.weights[: len(z)] * z
+        return f"({', '.join(self.length_text(length_m, 1) for length_m in lengths_m)})"
 
     def length_text(self, length_m: float, digits: int = 0) -> str:
         """A length, m, in words."""

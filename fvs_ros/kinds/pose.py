@@ -80,10 +80,9 @@ class Pose(Kind):
     def read(self, message: Any) -> np.ndarray:
         """Pose of a ``PoseStamped``, (12,)."""
         position, orientation = message.pose.position, message.pose.orientation
-        return self._of_numbers(
-            np.array([position.x, position.y, position.z]),
-            np.array([orientation.x, orientation.y, orientation.z, orientation.w]),
-        )
+        position_m = [position.x, position.y, position.z]
+        quaternion = [orientation.x, orientation.y, orientation.z, orientation.w]
+        return self.parse(np.array(position_m + quaternion))
 
     def write(self, message: Any, z: np.ndarray) -> None:
         """Fill in a ``PoseStamped``."""
@@ -92,17 +91,13 @@ class Pose(Kind):
         position.x, position.y, position.z = z[:3].tolist()
         orientation.x, orientation.y, orientation.z, orientation.w = quaternion
 
-    def parse(self, numbers: np.ndarray) -> np.ndarray:
+    def of_columns(self, numbers: np.ndarray) -> np.ndarray:
         """Pose of a position, m, and a quaternion x, y, z, w."""
-        numbers = super().parse(numbers)
-        return self._of_numbers(numbers[:3], numbers[3:])
+        return self.of_body(numbers[:3], rotation_from_quaternion(numbers[3:]))
 
     def columns_of(self, z: np.ndarray) -> np.ndarray:
         """Position, m, and quaternion x, y, z, w of a pose, (7,)."""
         return np.append(z[:3], quaternion_from_rotation(self.rotation(z)))
-
-    def _of_numbers(self, position_m: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-        return self.checked(self.of_body(position_m, rotation_from_quaternion(quaternion)))
 
     def minus(
         self, z: np.ndarray, origin: np.ndarray, before: np.ndarray | None = None

@@ -42,7 +42,7 @@ def test_references_are_listed_whatever_stands_in_their_file(tmp_path):
     assert labels == {"grasp: object, 50 %": "grasp", "<b>: cannot be used": "<b>"}
     text = markup.reference_text(known["grasp"], kind)
     assert text == (
-        "in the object's frame: (100.0, 0.0, 50.0) mm, turned by (0.0, 0.0, 180.0) degrees"
+        "in the object's frame: (100.0 mm, 0.0 mm, 50.0 mm), turned by (0.0, 0.0, 180.0) degrees"
     )
     assert "feature ball, expected pose" in markup.reference_text(known["<b>"], kind)
 

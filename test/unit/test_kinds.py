@@ -8,8 +8,11 @@ from geometry_msgs.msg import PoseStamped
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from fvs_estimator_node.camera import PoeEstimator
+from fvs_estimator_node.chain_fit import fit_chain
+from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain
-from fvs_ros.kinds import BODIES, KINDS
+from fvs_ros.kinds import BODIES, KINDS, Kind
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import (
     nearest_rotation,
@@ -20,6 +23,18 @@ from fvs_ros.rotations import (
 )
 
 LEVER_M = 0.3
+PIXEL_M = 1e-3
+
+
+class Corner(Kind):
+    """A point of an image, px: in other units than lengths, and of no rigid body."""
+
+    name, what = "corner", "corner"
+    columns = axes = ("u", "v")
+    unit, rigid = np.full(2, PIXEL_M), False
+
+    def length_text(self, length_m, digits=0):
+        return f"{length_m / PIXEL_M:.{digits}f} px"
 
 
 @pytest.fixture
@@ -151,3 +166,35 @@ def test_a_message_is_read_as_it_was_written_and_refused_if_it_is_no_pose(rng):
     message.pose.orientation.w += 0.5
     with pytest.raises(ValueError, match="is no pose"):
         pose.read(message)
+
+
+@pytest.mark.parametrize("kind", [KINDS["ball"](), Pose(LEVER_M), Corner()])
+def test_what_a_person_writes_is_refused_if_it_is_not_finite_or_too_far(kind):
+    numbers = np.zeros(len(kind.columns))
+    numbers[-1] = 1.0
+    np.testing.assert_allclose(kind.columns_of(kind.parse(numbers)), numbers)
+    for wrong in (np.nan, np.inf, 1e9):
+        numbers[0] = wrong
+        with pytest.raises(ValueError, match=r"than 100 m: \[") as refusal:
+            kind.parse(numbers)
+        assert refusal.value.args[0].count(",") == len(numbers)
+
+
+def test_a_kind_may_have_other_units_than_lengths():
+    kind, z = Corner(), np.array([320.0, 240.0])
+    moved = kind.retract(z, np.array([0.01, -0.02]))
+    np.testing.assert_allclose(moved, [330.0, 220.0])
+    np.testing.assert_allclose(kind.minus(moved, z), [0.01, -0.02])
+    assert kind.parse(z) is z
+    assert kind.text(z) == "(320.0 px, 240.0 px)"
+    assert kind.error_text(np.array([0.003, 0.004])) == "5.0 px"
+
+
+def test_a_chain_refuses_what_is_no_rigid_body(monkeypatch):
+    monkeypatch.setitem(KINDS, "corner", Corner)
+    data = DataSet(np.zeros(1), np.zeros((1, 6)), np.zeros((1, 2)), np.zeros(1), feature="corner")
+    with pytest.raises(ValueError, match="a corner is no rigid body"):
+        fit_chain(data)
+    chain = SerialChain(*np.ones((2, 6, 3)), np.ones(3), np.zeros(6), np.zeros(6))
+    with pytest.raises(ValueError, match="a corner does not turn with the camera"):
+        PoeEstimator(chain, kind=Corner())
