@@ -227,8 +227,16 @@ class ServoLoop:
         monitor.needed, monitor.spare_s = wanted is not None, 0.0
         self.supervisor.goal.speed = 1.0
 
-    def teach(self) -> Reference:
+    def teach(self, now_s: float) -> Reference:
         """Where the tool is at rest; a ``ValueError`` says why that is not known well."""
+        inputs = self.supervisor.inputs
+        late = inputs.late(now_s)
+        if late:
+            raise ValueError(late)
+        monitor, may_be_s = inputs[OBJECT], self.supervisor.config.object_may_be_hidden_s
+        age_s = monitor.age_s(now_s)
+        if monitor.late(now_s) and may_be_s < age_s < inf:
+            raise ValueError(f"{monitor.name} is {age_s:.1f} s old; is the object in view?")
         taught = self._teacher.teach()
         frame = OBJECT_FRAME if taught.relative else self.supervisor.config.feature_frame
         return Reference(taught.z, frame, deviation_m=taught.deviation_m)

@@ -185,12 +185,12 @@ class ControllerNode(ros.FvsNode):
         return accepted, text
 
     def _references(self) -> References:
-        return References(self.values["references_path"], self._kind)
+        return References(self.values["references_path"], self._kind, self._joint_map.names)
 
     def _teach(self) -> tuple[bool, str]:
         name, references = self.values["reference"], self._references()
         try:
-            taught = self._loop.teach()
+            taught = self._loop.teach(self.now_s())
             references.keep(name, taught)
         except (ValueError, OSError) as error:
             return False, f"not taught: {error}"

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from fvs_ros.arguments import unknown
 from fvs_ros.kinds import Kind
-from fvs_ros.yaml_text import read_yaml_file
+from fvs_ros.yaml_text import read_yaml_file, write_yaml
 
 _HEAD = """\
 # Taught references. In the frame `object`, a reference is where the tool shall be seen from the
 # object; else in the camera's. x, y, z in m; qx, qy, qz, qw is the orientation. speed is the share
-# of max_joint_velocity_rad_s on the way there.
+# of max_joint_velocity_rad_s on the way there. Teaching writes the file anew, without comments.
 """
 _FEATURE, _FRAME, _SPEED, _DEVIATION = "feature", "frame", "speed", "deviation_m"
-#: References in a file, and letters of a name.
-_MOST, _LONGEST_NAME = 1000, 80
+#: Bytes of a file, which is read between two commands, and letters of a name.
+_MOST_BYTES, _LONGEST_NAME = 2**16, 80
 
 
 @dataclass(frozen=True)
@@ -44,11 +45,20 @@ class References:
         The file, which may begin with ~; it is read at every use, since people edit it.
     kind : Kind
         What is servoed.
+    joint_names : sequence of str
+        The arm's.
     """
 
-    def __init__(self, path: str, kind: Kind) -> None:
+    def __init__(self, path: str, kind: Kind, joint_names: Sequence[str]) -> None:
         # Unlike Path.expanduser, this leaves the ~ of an unknown user.
         self.path, self._kind = Path(os.path.expanduser(path)), kind
+        #: What an entry must be of; that of an older version may lack all but the feature.
+        self._origin = {
+            "version": 1,
+            _FEATURE: kind.name,
+            "joints": list(joint_names),
+            "mount": "fixed",  # of the camera
+        }
 
     def get(self, name: str) -> Reference:
         """A reference; a ``ValueError`` says why there is none that can be used."""
@@ -78,55 +88,67 @@ class References:
         if not name or len(name) > _LONGEST_NAME or not name.isprintable():
             raise ValueError("the parameter reference must be a short name")
         content = self._read()
-        before = content.get(name)
-        speed = before.get(_SPEED, reference.speed) if isinstance(before, dict) else reference.speed
+        before, speed = content.get(name), reference.speed
+        if isinstance(before, dict) and _SPEED in before:
+            speed = _speed(before)  # one that is refused must not become the full one
         numbers = self._kind.columns_of(reference.z)
         content[name] = {
-            _FEATURE: self._kind.name,
+            **self._origin,
             _FRAME: reference.frame,
             **dict(zip(self._kind.columns, numbers.tolist(), strict=True)),
             _SPEED: speed,
             _DEVIATION: reference.deviation_m,
         }
-        if len(content) > _MOST:
-            raise ValueError(f"{self.path} holds {_MOST} references already")
-        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
+        text = (_HEAD + write_yaml(content)).encode()
+        if len(text) > _MOST_BYTES:
+            raise ValueError(f"{self.path} would be larger than {_MOST_BYTES >> 10} kB")
+        path = self.path.resolve()  # a link stays one
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            temporary.write_text(_HEAD + yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-            temporary.replace(self.path)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary.write_bytes(text)
+            temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
 
     def _read(self) -> dict[str, Any]:
         try:
-            content = read_yaml_file(self.path) or {}
+            content = read_yaml_file(self.path, _MOST_BYTES) or {}
+            if not isinstance(content, dict):
+                raise ValueError("expected names of references at the top")
+            return {str(name): entry for name, entry in content.items()}
         except FileNotFoundError:
             return {}
         except (OSError, ValueError) as error:
             raise ValueError(f"{self.path} cannot be read: {error}") from None
-        if not isinstance(content, dict) or not all(isinstance(name, str) for name in content):
-            raise ValueError(f"{self.path}: expected names of references at the top")
-        return content
 
     def _parse(self, entry: Any) -> Reference:
         kind = self._kind
         if not isinstance(entry, dict):
             raise ValueError(f"expected {', '.join((_FEATURE, _FRAME, *kind.columns))}")
-        if entry.get(_FEATURE) != kind.name:
-            raise ValueError(f"it is of feature {entry.get(_FEATURE)!s:.20}, expected {kind.name}")
-        speed = _number(entry, _SPEED, 1.0)
-        if not 0.0 < speed <= 1.0:
-            raise ValueError(f"speed is {speed:g}, expected more than 0, up to 1")
+        origin = {**self._origin, _FEATURE: None, **entry}
+        for name, expected in self._origin.items():
+            if origin[name] != expected:
+                raise ValueError(f"it is of {name} {origin[name]!s:.200}, expected {expected}")
         frame = entry.get(_FRAME)
         if not isinstance(frame, str):
             raise ValueError("frame is missing: object, or the camera's frame")
         z = kind.parse(np.array([_number(entry, name) for name in kind.columns]))
-        return Reference(z, frame, speed, _number(entry, _DEVIATION, 0.0))
+        return Reference(z, frame, _speed(entry), _number(entry, _DEVIATION, 0.0))
+
+
+def _speed(entry: dict[str, Any]) -> float:
+    speed = _number(entry, _SPEED, 1.0)
+    if not 0.0 < speed <= 1.0:
+        raise ValueError(f"speed is {speed:g}, expected more than 0, up to 1")
+    return speed
 
 
 def _number(entry: dict[str, Any], name: str, default: float | None = None) -> float:
-    value = entry.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
+    value, number = entry.get(name, default), nan
+    if isinstance(value, (int, float, str)) and not isinstance(value, bool):
+        with suppress(ValueError, OverflowError):
+            number = float(value)  # also of the text 1e-3, which is none in YAML 1.1
+    if not isfinite(number):
         raise ValueError(f"{name} is {value!s:.20}, expected a number")
-    return float(value)
+    return number

@@ -134,7 +134,7 @@ class Taught(NamedTuple):
 
 
 class Teacher:
-    """Averages tool and object over the last second."""
+    """Averages tool and object over the last second in which each was seen."""
 
     def __init__(self, kind: Kind, lens: Lens) -> None:
         self._kind, self._lens = kind, lens
@@ -152,8 +152,7 @@ class Teacher:
         """Where the tool is now; a ``ValueError`` says why that is not known well."""
         topics = self._kind.topics
         z, deviation_m = self._tool.mean(topics.tool.name)
-        # An object that was not seen in the tool's last second is none.
-        if self._object.newest_s < self._tool.newest_s - _TEACH_S:
+        if self._object.newest_s == -inf:
             return Taught(z, False, deviation_m)
         object_z, object_m = self._object.mean(topics.object.name)
         z = self._kind.relative(self._lens.true(z), self._lens.true(object_z))

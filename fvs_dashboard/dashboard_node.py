@@ -219,7 +219,7 @@ class DashboardNode(ros.FvsNode):
             self._calls.ask(node, parameters, partial(self._board.parameters.__setitem__, node))
         path = self._board.parameter(topics.CONTROLLER, "references_path")
         if isinstance(path, str):
-            self._look_at_references(References(path, self._kind))
+            self._look_at_references(References(path, self._kind, self._joint_map.names))
 
     def _look_at_references(self, references: References) -> None:
         """Read them if their file changed, in a thread: a long file must not delay a stop."""

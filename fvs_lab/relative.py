@@ -307,7 +307,7 @@ class Task:
         loop.run(1.2)
         for _ in range(10):
             with suppress(ValueError):  # noise may look like motion
-                return loop.loop.teach()
+                return loop.loop.teach(loop.simulation.time_s)
             loop.run(0.2)
         raise RuntimeError(f"{self.setting.name}: {self.case} cannot be taught")
 

@@ -64,6 +64,9 @@ class Scene:
         accepted, text = self.loop.loop.add_target(self.relative, OBJECT_FRAME)
         assert accepted, text
 
+    def teach(self):
+        return self.loop.loop.teach(self.loop.simulation.time_s)
+
     @property
     def error_m(self):
         """Error of the relation, m."""
@@ -81,7 +84,7 @@ def test_a_taught_relation_is_found_again_beside_the_object_at_another_place(sce
     scene.run(2.5)
     errors_m = [scene.error_m for _ in range(60) if scene.run(4 * scene.loop.period_s)]
     assert np.median(errors_m) < 3e-4
-    taught = scene.loop.loop.teach()
+    taught = scene.teach()
     assert taught.frame == OBJECT_FRAME
     assert np.linalg.norm(scene.kind.minus(taught.z, scene.relative)) < 6e-4
     assert 2e-5 < taught.deviation_m < 2e-4
@@ -98,7 +101,7 @@ def test_a_lens_that_is_known_to_err_does_not_stretch_the_relation(known, least_
     scene.ask()
     scene.run(3.0)
     error_m = scene.error_m
-    taught = scene.loop.loop.teach()
+    taught = scene.teach()
     del scene.loop.simulation._blurred
     assert least_m < error_m < most_m
     assert np.linalg.norm(scene.kind.minus(taught.z, scene.relative)) < 1e-3
@@ -168,7 +171,25 @@ def test_teaching_refuses_what_moves(scene):
     scene.ask()
     scene.run(0.5)
     with pytest.raises(ValueError, match="moved by"):
-        scene.loop.loop.teach()
+        scene.teach()
+
+
+def test_teaching_refuses_a_tool_or_an_object_that_is_out_of_view(scene):
+    scene.ask()
+    scene.run(2.5)
+    scene.loop.loop.add_target(
+        scene.loop.true_feature, scene.loop.loop.supervisor.config.feature_frame
+    )
+    scene.run(1.5, None)
+    assert scene.teach().frame == OBJECT_FRAME  # it may be hidden for 2 s
+    scene.run(1.0, None)
+    with pytest.raises(ValueError, match=r"object_.* is 2\.5 s old"):
+        scene.teach()
+    scene.run(1.0)
+    scene.loop.loop.add_image = lambda *_: None
+    scene.run(0.5)
+    with pytest.raises(ValueError, match=f"{scene.kind.topics.tool.name} is 0.5"):
+        scene.teach()
 
 
 @each("feature", KINDS)

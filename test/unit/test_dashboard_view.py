@@ -35,9 +35,9 @@ def test_references_are_listed_whatever_stands_in_their_file(tmp_path):
     path = tmp_path / "references.yaml"
     kind = Pose()
     turned = kind.of_body(np.array([0.1, 0.0, 0.05]), np.diag([-1.0, -1.0, 1.0]))
-    References(path, kind).keep("grasp", Reference(turned, "object", 0.5))
-    References(path, Ball()).keep("<b>", Reference(np.zeros(3), "camera"))
-    known = References(path, kind).entries()
+    References(path, kind, NAMES).keep("grasp", Reference(turned, "object", 0.5))
+    References(path, Ball(), NAMES).keep("<b>", Reference(np.zeros(3), "camera"))
+    known = References(path, kind, NAMES).entries()
     labels = markup.reference_labels(known)
     assert labels == {"grasp: object, 50 %": "grasp", "<b>: cannot be used": "<b>"}
     text = markup.reference_text(known["grasp"], kind)
