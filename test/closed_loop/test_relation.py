@@ -227,7 +227,7 @@ def test_a_lone_wrong_image_does_not_shift_what_is_taught(scene):
     scene.run(0.5)
     scene.run(scene.loop.period_s, lambda s: s.kind.retract(s.object, np.full(s.kind.size, 0.05)))
     scene.run(0.5)
-    taught = scene.loop.loop.teach()
+    taught = scene.teach()
     true = scene.kind.relative(scene.loop.true_feature, scene.object)
     assert np.linalg.norm(scene.kind.minus(taught.z, true)) < 1e-3
 
