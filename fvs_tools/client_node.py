@@ -32,8 +32,6 @@ from fvs_ros.arguments import Parser
 
 #: A service answers within this time, s, or nobody is there.
 _ANSWER_S = 10.0
-#: Settled for this time, s, is reached: the last millimetres are behind the arm, too.
-_REST_S = 0.5
 #: Verb -> fewest and most names.
 _VERBS: dict[str, tuple[float, float]] = {
     "teach": (1, 1),
@@ -138,7 +136,7 @@ class ServoClient:
         feedback : callable, optional
             Gets the controller's sentences on the way.
         """
-        begin_s = near_s = time.monotonic()
+        begin_s = time.monotonic()
         self._end_s = begin_s + timeout_s
         try:
             self.follow(name)
@@ -148,17 +146,16 @@ class ServoClient:
         while True:
             words = status.message
             status = self._next_status(begin_s + timeout_s)
-            values, now_s = ros.from_status(status), time.monotonic()
+            values, passed_s = ros.from_status(status), time.monotonic() - begin_s
             if feedback is not None and status.message != words:
                 feedback(status.message)
-            if values.get("settled") != "true" or values.get("state") != "SERVOING":
-                near_s = now_s
-            reached = now_s - near_s > _REST_S
+            settled = values.get("settled") == "true" and values.get("state") == "SERVOING"
+            reached = settled and passed_s <= timeout_s
             if reached:
                 self._call("set_current_as_target")
-            if reached or now_s - begin_s > timeout_s or values.get("started") == "false":
+            if reached or passed_s > timeout_s or values.get("started") == "false":
                 error_m = float(values.get("error_m", "nan"))
-                return Result(reached, error_m, now_s - begin_s, status.message)
+                return Result(reached, error_m, passed_s, status.message)
 
     def stop(self) -> str:
         """Bring the arm to rest."""

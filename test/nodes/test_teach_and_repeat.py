@@ -97,7 +97,7 @@ def test_the_program_teaches_and_goes_there(ros_test, tmp_path):
     assert code == 0, words
     assert "grasp: reached in" in words
     there_m = kitchen.robot.ball
-    assert kitchen.off_m(taught_m) < 0.002
+    assert kitchen.off_m(taught_m) < 0.005
     kitchen.object_m = kitchen.object_m + [0.0, 0.1, 0.0]
     kitchen.harness.spin_for(0.5)
     assert np.linalg.norm(kitchen.robot.ball - there_m) < 0.002, "it follows the object"
