@@ -113,7 +113,9 @@ class DemoNode(ros.FvsNode):
         if record.truths[-1][0] >= self._config.target_s:
             self._report(len(self._records), record)
             self._chooses = len(self._records) < self._config.targets
-            if not self._chooses:
+            if self._chooses:
+                self._next_target(stamp_s, z)
+            else:
                 self._conclude()
 
     # --- the task ---
