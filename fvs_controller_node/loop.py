@@ -140,7 +140,7 @@ class ServoLoop:
         if images:
             self._unjudged += images
             for image in images:
-                self._teacher.add_tool(image.stamp_s, image.z)
+                self._teacher.tool.add(image.stamp_s, image.z)
             self._new_image = True
             self._note(Change.MEASUREMENT)
 
@@ -154,7 +154,7 @@ class ServoLoop:
         was_hidden = monitor.late(now_s)
         if not self.supervisor.inputs.add(OBJECT, now_s, z):
             return
-        self._teacher.add_object(stamp_s, z)
+        self._teacher.object.add(stamp_s, z)
         there_s = on_own_clock(stamp_s, self._stamp_s)
         target = self._relation.add_image(z, there_s, was_hidden)
         if self._relation.moved_m:

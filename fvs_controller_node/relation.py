@@ -138,29 +138,21 @@ class Teacher:
 
     def __init__(self, kind: Kind, lens: Lens) -> None:
         self._kind, self._lens = kind, lens
-        self._tool, self._object = _Second(kind), _Second(kind)
-
-    def add_tool(self, stamp_s: float, z: np.ndarray) -> None:
-        """Take an image of the tool, (m,), and its exposure, s."""
-        self._tool.add(stamp_s, z)
-
-    def add_object(self, stamp_s: float, z: np.ndarray) -> None:
-        """Take an image of the object, (m,), and its exposure, s."""
-        self._object.add(stamp_s, z)
+        self.tool, self.object = LastSecond(kind), LastSecond(kind)
 
     def teach(self) -> Taught:
         """Where the tool is now; a ``ValueError`` says why that is not known well."""
         topics = self._kind.topics
-        z, deviation_m = self._tool.mean(topics.tool.name)
-        if self._object.newest_s == -inf:
+        z, deviation_m = self.tool.mean(topics.tool.name)
+        if self.object.newest_s == -inf:
             return Taught(z, False, deviation_m)
-        object_z, object_m = self._object.mean(topics.object.name)
+        object_z, object_m = self.object.mean(topics.object.name)
         z = self._kind.relative(self._lens.true(z), self._lens.true(object_z))
         return Taught(z, True, float(np.hypot(deviation_m, object_m)))
 
 
-class _Second:
-    """The images of the last second."""
+class LastSecond:
+    """The images of the last second of tool or object."""
 
     def __init__(self, kind: Kind) -> None:
         self._kind = kind
@@ -172,6 +164,7 @@ class _Second:
         return self._images[-1][0] if self._images else -inf
 
     def add(self, stamp_s: float, z: np.ndarray) -> None:
+        """Take an image, (m,), and its exposure, s."""
         if stamp_s < self.newest_s:
             self._images.clear()  # another clock
         self._images.append((stamp_s, z))
@@ -181,7 +174,10 @@ class _Second:
     def mean(self, name: str) -> tuple[np.ndarray, float]:
         """The mean, (m,), and its standard deviation in each coordinate, m."""
         if len(self._images) < _TEACH_IMAGES:
-            raise ValueError(f"{len(self._images)} images of {name} in the last second, expected 5")
+            count = len(self._images)
+            raise ValueError(
+                f"{count} images of {name} in the last second, expected {_TEACH_IMAGES}"
+            )
         images = [z for _, z in self._images]
         steps_m = np.array([self._kind.minus(z, images[-1]) for z in images])
         # Without a few outliers: further from the median than noise in any coordinate.
