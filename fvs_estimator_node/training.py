@@ -104,7 +104,7 @@ def train(
     if fit is not None:
         judged_rad = _within(trained_on["joint_box_rad"], rng, _JUDGED)
         errors = {**_figures(fit, model, judged_rad), **errors}
-        faults = _chain_faults(fit, errors["jacobian_deviation"])
+        faults = _chain_faults(fit, errors["jacobian_deviation"], data.kind.what)
         why = faults[0] if faults and not poe else ""
     notes = _notes(data, errors, faults if poe else [])
     if fit is not None and fit.chain.lens.any():
@@ -229,7 +229,7 @@ def lens_text(errors: Mapping[str, Any]) -> str:
     )
 
 
-def _chain_faults(fit: ChainFit, deviation: float) -> list[str]:
+def _chain_faults(fit: ChainFit, deviation: float, what: str) -> list[str]:
     """Why a chain is not to be trusted, in words; the most important first."""
     unknown, distance = math.isnan(fit.noise_m), f"{1e3 * fit.residual_m:.1f} mm"
     faults = (
@@ -238,13 +238,13 @@ def _chain_faults(fit: ChainFit, deviation: float) -> list[str]:
         "set the clocks (NTP), or add the delay to stamp_delay_s of fvs_detector_node"
         if fit.offset_at_limit
         else "",
-        "whether the ball moves on a rigid chain cannot be told: images are "
+        f"whether the {what} moves on a rigid chain cannot be told: images are "
         f"{distance} off it; collect with five images a second or more"
         if unknown and not fit.is_chain
         else "",
-        f"the ball does not move on a rigid chain: images are {distance} distance, "
+        f"the {what} does not move on a rigid chain: images are {distance} distance, "
         f"noise explains {1e3 * fit.noise_m:.1f} mm; check that nothing moved the camera or the "
-        "ball on its tool, check joint names and signs, or train with another method"
+        f"{what} on its tool, check joint names and signs, or train with another method"
         if not unknown and not fit.is_chain
         else "",
         f"the Jacobian is known to {100.0 * deviation:.1f} % only; collect longer or in a "
@@ -268,10 +268,10 @@ def _notes(data: DataSet, errors: dict[str, Any], faults: list[str]) -> list[str
     noise_m = errors.get("noise_m", errors.get("residual_m", 0.0))
     late = f"{1e3 * abs(offset_s):.0f} ms {'before' if offset_s > 0.0 else 'after'} their stamps"
     clocks = "" if offset_s > 0.0 else " (if more than half an image's time: set the clocks, NTP)"
-    outliers, samples = errors["outliers"], errors["samples"]
+    outliers, samples, what = errors["outliers"], errors["samples"], data.kind.what
     notes = (
-        f"ball positions scatter by {1e3 * noise_m:.0f} mm (median); check depth, lighting and "
-        "that nothing else is taken for the ball"
+        f"{what} positions scatter by {1e3 * noise_m:.0f} mm (median); check depth, lighting and "
+        f"that nothing else is taken for the {what}"
         if noise_m > _NOTABLE_NOISE_M
         else "",
         f"the images show the joints of {late}; corrected here, but the loop needs it, too: add "
@@ -281,7 +281,7 @@ def _notes(data: DataSet, errors: dict[str, Any], faults: list[str]) -> list[str
         f"{outliers} of {samples} images do not fit and were left out"
         if outliers > data.kind.outliers * samples
         else "",
-        f"the networks miss {100.0 * missed:.0f} % of the ball's motion; collect longer or in a "
+        f"the networks miss {100.0 * missed:.0f} % of the {what}'s motion; collect longer or in a "
         "wider box, with one robot and one detector publishing"
         if missed > _NOTABLE_ERROR
         else "",
