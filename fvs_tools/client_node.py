@@ -92,7 +92,6 @@ class ServoClient:
             DiagnosticStatus, topics.CONTROLLER + "/status", self._on_status, ros.QOS_NEWEST
         )
         self._clients: dict[str, Any] = {}
-        self._end_s = inf  # of every wait, steady time
 
     def close(self) -> None:
         """End the client; the arm goes on with what it does."""
@@ -108,10 +107,10 @@ class ServoClient:
         self._choose(name)
         return self._call("teach")
 
-    def follow(self, name: str) -> str:
-        """Go to a reference and stay with its object; returns at once."""
+    def follow(self, name: str, timeout_s: float = _ANSWER_S) -> str:
+        """Go to a reference and stay with its object; returns once the arm may start."""
         self._choose(name)
-        answer, end_s = self._call("go_to_reference"), time.monotonic() + _ANSWER_S
+        answer, end_s = self._call("go_to_reference"), time.monotonic() + timeout_s
         while True:
             response = self._ask(Trigger, "start", Trigger.Request())
             if response.success:
@@ -121,7 +120,7 @@ class ServoClient:
             self._next_status()  # what is missing may be on its way
 
     def go_to(
-        self, name: str, timeout_s: float = 30.0, feedback: Callable[[str], None] | None = None
+        self, name: str, timeout_s: float = inf, feedback: Callable[[str], None] | None = None
     ) -> Result:
         """Go to a reference, and wait until it is reached, given up or out of time.
 
@@ -137,12 +136,8 @@ class ServoClient:
             Gets the controller's sentences on the way.
         """
         begin_s = time.monotonic()
-        self._end_s = begin_s + timeout_s
-        try:
-            self.follow(name)
-            status = self._next_status()  # the one after the present one is of this reference
-        finally:
-            self._end_s = inf
+        self.follow(name, min(timeout_s, _ANSWER_S))
+        status = self._next_status()  # the one after the present one is of this reference
         while True:
             words = status.message
             status = self._next_status(begin_s + timeout_s)
@@ -200,14 +195,12 @@ class ServoClient:
         return future.result()
 
     def _spin(self, condition: Callable[[], bool], what: str) -> None:
-        begin_s = time.monotonic()
-        end_s = min(begin_s + _ANSWER_S, self._end_s)
+        end_s = time.monotonic() + _ANSWER_S
         while not condition():
             if stop.RECEIVED:
                 raise KeyboardInterrupt
             if time.monotonic() > end_s:
-                waited_s = max(0.0, end_s - begin_s)
-                raise ServoError(f"waited {waited_s:.1f} s for {what}: does the controller run?")
+                raise ServoError(f"waited {_ANSWER_S:g} s for {what}: does the controller run?")
             self._executor.spin_once(timeout_sec=0.05)
 
 
@@ -263,7 +256,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser("fvs_servo", __doc__)
     parser.add_argument("verb", metavar="VERB", choices=_VERBS, help=", ".join(_VERBS))
     parser.add_argument("names", nargs="*", metavar="NAME", help="of references")
-    parser.add_argument("--timeout-s", type=float, default=30.0, help="for each reference, s")
+    parser.add_argument("--timeout-s", type=float, default=inf, help="for each reference, s")
     parser.add_argument("--namespace", default="", help="the controller's")
     return parser
 
