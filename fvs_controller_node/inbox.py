@@ -222,11 +222,11 @@ class Inbox:
         return findings[0] if findings else None
 
     def late(self, now_s: float) -> str:
-        """The first fault in age or content of the messages; empty if all are fresh."""
-        return next((finding.text for finding in self._troubles(now_s)), "")
+        """The first fault in age or content of all messages but an object's; empty if fresh."""
+        return next((finding.text for finding in self._troubles(now_s, but=OBJECT)), "")
 
-    def _troubles(self, now_s: float) -> list[Finding]:
-        findings = [monitor.find(now_s) for monitor in self._monitors.values()]
+    def _troubles(self, now_s: float, but: str = "") -> list[Finding]:
+        findings = [self[name].find(now_s) for name in self._monitors if name != but]
         return [finding for finding in findings if finding is not None]
 
     @property

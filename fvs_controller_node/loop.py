@@ -233,13 +233,14 @@ class ServoLoop:
         late = inputs.late(now_s)
         if late:
             raise ValueError(late)
-        monitor, may_be_s = inputs[OBJECT], self.supervisor.config.object_may_be_hidden_s
-        age_s = monitor.age_s(now_s)
-        if monitor.late(now_s) and may_be_s < age_s < inf:
+        monitor, config = inputs[OBJECT], self.supervisor.config
+        age_s, may_be_s = monitor.age_s(now_s), config.object_may_be_hidden_s
+        relative = age_s <= max(may_be_s, config.resume_within_s)  # else there is no object
+        if relative and age_s > may_be_s and monitor.late(now_s):
             raise ValueError(f"{monitor.name} is {age_s:.1f} s old; is the object in view?")
-        taught = self._teacher.teach()
-        frame = OBJECT_FRAME if taught.relative else self.supervisor.config.feature_frame
-        return Reference(taught.z, frame, deviation_m=taught.deviation_m)
+        z, deviation_m = self._teacher.teach(relative)
+        frame = OBJECT_FRAME if relative else config.feature_frame
+        return Reference(z, frame, deviation_m=deviation_m)
 
     def go_to(self, reference: Reference) -> tuple[bool, str]:
         """Make a taught reference the target, at its speed."""

@@ -9,8 +9,6 @@ The relation is that of the true lens, where its error is known: its stretch cha
 from __future__ import annotations
 
 from collections import deque
-from math import inf
-from typing import NamedTuple
 
 import numpy as np
 
@@ -125,14 +123,6 @@ class Relation:
         return self._lens.measured(self._kind.absolute(wanted, self._lens.true(object_z)))
 
 
-class Taught(NamedTuple):
-    """Where the tool is, averaged at rest."""
-
-    z: np.ndarray  #: in the object's frame if one is seen, else in the camera's, (m,)
-    relative: bool  #: whether an object is seen
-    deviation_m: float  #: standard deviation of a coordinate of the mean
-
-
 class Teacher:
     """Averages tool and object over the last second in which each was seen."""
 
@@ -140,15 +130,18 @@ class Teacher:
         self._kind, self._lens = kind, lens
         self.tool, self.object = LastSecond(kind), LastSecond(kind)
 
-    def teach(self) -> Taught:
-        """Where the tool is now; a ``ValueError`` says why that is not known well."""
+    def teach(self, relative: bool) -> tuple[np.ndarray, float]:
+        """Where the tool is, (m,), in the object's frame or the camera's, and its deviation, m.
+
+        A ``ValueError`` says why that is not known well.
+        """
         topics = self._kind.topics
         z, deviation_m = self.tool.mean(topics.tool.name)
-        if self.object.newest_s == -inf:
-            return Taught(z, False, deviation_m)
+        if not relative:
+            return z, deviation_m
         object_z, object_m = self.object.mean(topics.object.name)
         z = self._kind.relative(self._lens.true(z), self._lens.true(object_z))
-        return Taught(z, True, float(np.hypot(deviation_m, object_m)))
+        return z, float(np.hypot(deviation_m, object_m))
 
 
 class LastSecond:
@@ -158,14 +151,9 @@ class LastSecond:
         self._kind = kind
         self._images = deque[tuple[float, np.ndarray]](maxlen=256)
 
-    @property
-    def newest_s(self) -> float:
-        """Exposure of the newest image, s."""
-        return self._images[-1][0] if self._images else -inf
-
     def add(self, stamp_s: float, z: np.ndarray) -> None:
         """Take an image, (m,), and its exposure, s."""
-        if stamp_s < self.newest_s:
+        if self._images and stamp_s < self._images[-1][0]:
             self._images.clear()  # another clock
         self._images.append((stamp_s, z))
         while self._images[0][0] < stamp_s - _TEACH_S:

@@ -12,6 +12,7 @@ from fvs_controller_node.relation import OBJECT_FRAME, Lens
 from fvs_estimator_node.camera import PoeEstimator
 from fvs_estimator_node.loop import EstimationLoop
 from fvs_lab.trials import Conditions, simulation_of
+from fvs_ros.camera import CAMERA_FRAME
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.closed_loop import ClosedLoop
@@ -76,7 +77,7 @@ class Scene:
 
 @pytest.fixture(params=KINDS)
 def scene(request):
-    return Scene(request.param, object_may_be_hidden_s=2.0)
+    return Scene(request.param, object_may_be_hidden_s=2.0, resume_within_s=3.0)
 
 
 def test_a_taught_relation_is_found_again_beside_the_object_at_another_place(scene):
@@ -177,14 +178,15 @@ def test_teaching_refuses_what_moves(scene):
 def test_teaching_refuses_a_tool_or_an_object_that_is_out_of_view(scene):
     scene.ask()
     scene.run(2.5)
-    scene.loop.loop.add_target(
-        scene.loop.true_feature, scene.loop.loop.supervisor.config.feature_frame
-    )
     scene.run(1.5, None)
     assert scene.teach().frame == OBJECT_FRAME  # it may be hidden for 2 s
     scene.run(1.0, None)
     with pytest.raises(ValueError, match=r"object_.* is 2\.5 s old"):
         scene.teach()
+    scene.run(1.0, None)
+    assert scene.teach().frame == CAMERA_FRAME  # there is none any more
+    now_s = scene.loop.simulation.time_s
+    assert scene.loop.loop.set_current_as_target(now_s)[0]  # needs none, either
     scene.run(1.0)
     scene.loop.loop.add_image = lambda *_: None
     scene.run(0.5)
