@@ -18,10 +18,10 @@ def _nothing(*_arguments, **_options):
 
 
 class DryNode(FvsNode):
-    """Stands between a node and rclpy: nothing is subscribed, published or timed."""
+    """Stands between a node and rclpy: nothing is published or timed; ``hears`` has callbacks."""
 
     status_heard = True
-    subscribe = watch = tell = staticmethod(_nothing)
+    watch = tell = staticmethod(_nothing)
 
     def __init__(self, name, parameters, _namespace):  # rclpy's own is left out on purpose
         self._name = self._declared_name = name
@@ -29,6 +29,7 @@ class DryNode(FvsNode):
         self.values = self.parameter_set.values(self.overrides)
         self.steady_clock = None
         self.published = {}  # topic -> the newest messages
+        self.hears = {}  # topic -> what gets its messages
         self.services_by_name = {}
 
     def set_parameters_atomically(self, parameter_list):
@@ -40,6 +41,9 @@ class DryNode(FvsNode):
 
     def get_parameter(self, name):
         return SimpleNamespace(value=self.simulated_time if name == "use_sim_time" else None)
+
+    def subscribe(self, topic, callback, _qos=None):
+        self.hears[topic.name] = callback
 
     def create_timer(self, *_arguments, **_options):
         return SimpleNamespace(reset=_nothing)

@@ -258,7 +258,7 @@ class World:
         message = ros.to_feature(stamp_s, frame, Ball(), ball_m)
         value = _read(ros.from_feature, message, Ball(), CAMERA_FRAME, BALL)
         self._note(BALL, value, ros.from_stamp(message.header.stamp))
-        self.node._on_feature(message)
+        self.node.hears[BALL](message)
 
     def send_object(self, object_m, stamp_s, frame=CAMERA_FRAME):
         """Send an object's position, m."""
@@ -266,7 +266,7 @@ class World:
         value = _read(ros.from_feature, message, Ball(), CAMERA_FRAME, OBJECT)
         self._note(OBJECT, value, ros.from_stamp(message.header.stamp))
         self.new_task |= self.relative
-        self.node._on_object(message)
+        self.node.hears[OBJECT](message)
 
     def send_jacobian(self, message):
         """Send a Jacobian, m/rad."""

@@ -8,6 +8,8 @@ stop.listen()
 
 import sys
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -62,6 +64,7 @@ class ControllerNode(ros.FvsNode):
         self._refusal = ""
         self._conflicting = ""
         self._silence = ""  # of a driver that has never said whether the robot program runs
+        self._crowded = ""  # an input with more than one publisher, in words
         self._hears_others = False
         self._sent: deque[tuple[float, ...]] = deque(maxlen=64)  # own commands
         self._command: Command | None = None
@@ -72,8 +75,10 @@ class ControllerNode(ros.FvsNode):
         self._joints: np.ndarray | None = None
         self._sliding = self.publisher(self._kind.topics.sliding)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self.subscribe(self._kind.topics.tool, self._on_feature)
-        self.subscribe(self._kind.topics.object, self._on_object)
+        add_tool = partial(self._on_image, FEATURE, self._loop.add_image)
+        self.subscribe(self._kind.topics.tool, add_tool)
+        add_object = partial(self._on_image, OBJECT, self._loop.add_object)
+        self.subscribe(self._kind.topics.object, add_object)
         self.subscribe(topics.JACOBIAN, self._on_jacobian)
         if self._kind.rigid:
             self.subscribe(topics.KINEMATIC_CHAIN, self._on_chain)
@@ -116,23 +121,14 @@ class ControllerNode(ros.FvsNode):
                 self._joints = joints
         self._ticker.on_joint_state(now_s, stamp_s)
 
-    def _on_feature(self, message: Any) -> None:
-        now_s, kind = self.now_s(), self._kind
+    def _on_image(self, name: str, add: Callable[..., None], message: Any) -> None:
+        now_s, monitor = self.now_s(), self._loop.supervisor.inputs[name]
         try:
-            z = ros.from_feature(message, kind, self._frame, kind.topics.tool.name)
+            z = ros.from_feature(message, self._kind, self._frame, monitor.name)
         except ros.MessageError as error:
-            self._loop.supervisor.inputs[FEATURE].bad(str(error))
+            monitor.bad(str(error))
             return
-        self._loop.add_image(now_s, ros.from_stamp(message.header.stamp), z)
-
-    def _on_object(self, message: Any) -> None:
-        now_s, kind = self.now_s(), self._kind
-        try:
-            z = ros.from_feature(message, kind, self._frame, kind.topics.object.name)
-        except ros.MessageError as error:
-            self._loop.supervisor.inputs[OBJECT].bad(str(error))
-            return
-        self._loop.add_object(now_s, ros.from_stamp(message.header.stamp), z)
+        add(now_s, ros.from_stamp(message.header.stamp), z)
 
     def _on_jacobian(self, message: Float64MultiArray) -> None:
         now_s, joints = self.now_s(), len(self._joint_map.names)
@@ -278,14 +274,15 @@ class ControllerNode(ros.FvsNode):
         silence = "" if command.state is State.SERVOING else self._silence
         ranges = "" if self._loop.supervisor.config.ranges_known else _NO_RANGES
         hidden = self._loop.supervisor.inputs.hidden(self.now_s())
-        remarks = [remark for remark in (self._refusal, silence, ranges, hidden) if remark]
+        possible = (self._refusal, silence, ranges, hidden, self._crowded)
+        remarks = [remark for remark in possible if remark]
         if self._conflicting:
             remarks.append(f"{self._conflicting} publishes commands as well: stop it")
         text = f"{command.text} ({'; '.join(remarks)})" if remarks else command.text
         values = self._loop.status_values(self.now_s()) if self.status_heard else {}
         values.pop("state", None)
         self.publish_status(
-            max(_LEVELS[command.state], ros.WARN if self._conflicting else ros.OK),
+            max(_LEVELS[command.state], ros.WARN if self._conflicting or self._crowded else ros.OK),
             command.state.value,
             text,
             {
@@ -305,6 +302,11 @@ class ControllerNode(ros.FvsNode):
         topic = self.resolve_topic_name(topics.ROBOT_PROGRAM_RUNNING.name)
         unheard = not self.monitor(topics.ROBOT_PROGRAM_RUNNING.name).count
         self._silence = _NEVER_RAN if unheard and self.count_publishers(topic) else ""
+        inputs, self._crowded = self._loop.supervisor.inputs, ""
+        for name in (inputs[key].name for key in (FEATURE, OBJECT, JACOBIAN)):
+            count = self.count_publishers(self.resolve_topic_name(name))
+            if count > 1:
+                self._crowded = f"{name} has {count} publishers: stop all but one"
         # One that is not known by name yet may be this very node.
         self._conflicting = ", ".join(
             n for n in self.other_publishers(self._commands.topic.name) if "/" in n

@@ -62,11 +62,13 @@ class SimNode(ros.FvsNode):
         self._paused_active: bool | None = None  # was the controller, when the pause began?
         self._joint_states = self.publisher(topics.JOINT_STATES)
         self._kind = self._sim.kind
-        self._feature = self.publisher(self._kind.topics.tool)
         self._truth = self.publisher(self._kind.topics.truth)
+        if config.publish_ball_position:
+            self._feature = self.publisher(self._kind.topics.tool)
         if self._sim.world.object is not None:
-            self._object = self.publisher(self._kind.topics.object)
             self._object_truth = self.publisher(self._kind.topics.object_truth)
+            if config.publish_ball_position:
+                self._object = self.publisher(self._kind.topics.object)
         self._camera_pose = self.publisher(topics.TRUE_CAMERA_POSE)
         self._transforms = self.publisher(topics.TF_STATIC) if find_spec("tf2_msgs") else None
         self._color = self.create_publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)

@@ -16,19 +16,18 @@ from typing import Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.paths import program
 
@@ -294,21 +293,25 @@ class Statuses:
 
 
 class PlayedRobot:
-    """Plays robot, detector and estimator towards a controller: a linear plant x' = J r'."""
+    """Plays robot, tracker and estimator towards a controller: a plant x' = J r', J constant."""
 
     FRAME = "camera_color_optical_frame"
 
-    def __init__(self, harness: Harness) -> None:
-        self.harness = harness
+    def __init__(self, harness: Harness, kind: Kind | None = None) -> None:
+        self.harness, self.kind = harness, kind or Ball()
         self.jacobian = np.array(
             [
                 [0.5, 0.1, 0.1, 0.05, 0.1, 0.0],
                 [0.1, 0.5, -0.3, 0.1, 0.05, 0.0],
                 [0.1, -0.2, 0.4, 0.2, -0.1, 0.0],
+                [0.0, 0.1, 0.0, 0.4, 0.0, 0.0],
+                [0.1, 0.0, 0.0, 0.0, 0.4, 0.0],
+                [0.0, 0.0, 0.1, 0.0, 0.0, 0.4],
             ]
-        )
+        )[: self.kind.size]
         self.joints = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
-        self.ball = np.array([0.0, 0.1, 1.4])
+        self.z = self.kind.of_body(np.array([0.0, 0.1, 1.4]), np.eye(3))
+        self.object: Any = None  # as measured; none is there
         self.velocity = np.zeros(6)
         self.silent: set[str] = set()  # topics that are not published for now
         #: Topic -> what changes each of its messages.
@@ -317,19 +320,28 @@ class PlayedRobot:
         self.commands: list[tuple[float, Float64MultiArray]] = []
         node = harness.node
         qos = ros.QOS_RELIABLE
+        named = self.kind.topics
         self._publishers = {
-            topic.name: node.create_publisher(kind, topic.name, qos)
-            for kind, topic in (
-                (JointState, topics.JOINT_STATES),
-                (PointStamped, Ball.topics.tool),
-                (Float64MultiArray, topics.JACOBIAN),
-            )
+            topic.name: node.create_publisher(topics.message_class(topic.type), topic.name, qos)
+            for topic in (topics.JOINT_STATES, topics.JACOBIAN, named.tool, named.object)
         }
         deep = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
         node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self._on_command, deep)
         self._last_s = time.monotonic()
         node.create_timer(1 / 60, self._step)
         node.create_timer(1 / 30, self._look)
+
+    def show_object(self) -> None:
+        """Have an object from now on."""
+        self.object = self.kind.of_body(np.array([0.1, 0.05, 1.3]), np.eye(3))
+
+    def move_object(self, *motion_m: float) -> None:
+        """Let the object jump, m, (d,)."""
+        self.object = self.kind.retract(self.object, np.array(motion_m))
+
+    def from_object(self) -> np.ndarray:
+        """Where the tool is, seen from the object, (m,)."""
+        return self.kind.relative(self.z, self.object)
 
     def now_s(self) -> float:
         """ROS time, s."""
@@ -349,7 +361,7 @@ class PlayedRobot:
         moved = self.velocity * (now_s - self._last_s)
         self._last_s = now_s
         self.joints = self.joints + moved
-        self.ball = self.ball + self.jacobian @ moved
+        self.z = self.kind.retract(self.z, self.jacobian @ moved)
         order = np.argsort(UR_JOINT_NAMES)
         names = [UR_JOINT_NAMES[i] for i in order]
         stamp_s = self.now_s()
@@ -357,12 +369,13 @@ class PlayedRobot:
             topics.JOINT_STATES.name,
             ros.to_joint_state(stamp_s, names, self.joints[order], self.velocity[order]),
         )
-        self._send(topics.JACOBIAN.name, ros.to_jacobian(self.jacobian))
+        self._send(topics.JACOBIAN.name, ros.to_jacobian(self.jacobian, self.kind))
 
     def _look(self) -> None:
-        self._send(
-            Ball.topics.tool.name, ros.to_feature(self.now_s(), self.FRAME, Ball(), self.ball)
-        )
+        named = self.kind.topics
+        for topic, z in ((named.tool, self.z), (named.object, self.object)):
+            if z is not None:
+                self._send(topic.name, ros.to_feature(self.now_s(), self.FRAME, self.kind, z))
 
     def meet_controller(self) -> None:
         """Wait until the controller hears this robot, and the robot the controller."""

@@ -61,7 +61,7 @@ class Bench(Statuses):
 
     def servo(self):
         """Have the ball under way to the target that is further off."""
-        self.aim(max(TARGETS_M, key=lambda target: np.linalg.norm(target - self.robot.ball)))
+        self.aim(max(TARGETS_M, key=lambda target: np.linalg.norm(target - self.robot.z)))
         self.wait(lambda: self.value("state") in ("READY", "SERVOING"), what="READY")
         if self.value("state") == "READY":
             self.start()
@@ -87,7 +87,7 @@ class Bench(Statuses):
         assert not any(np.any(command.data) for _, command in self.robot.commands[count:])
 
     def assert_settles(self):
-        self.wait(lambda: np.linalg.norm(self.robot.ball - self.target_m) < 0.005, what="arrival")
+        self.wait(lambda: np.linalg.norm(self.robot.z - self.target_m) < 0.005, what="arrival")
         self.wait(lambda: self.reason() == "SETTLED", what="SETTLED")
 
     def assert_sound(self):
@@ -164,7 +164,7 @@ def test_another_nodes_commands_hold_the_arm_and_the_node_is_named(bench):
 
 def test_huge_and_malformed_messages_are_dropped_and_told_in_a_line(bench):
     bench.servo()
-    huge = ros.to_feature(0.0, "x" * 10**6, Ball(), bench.robot.ball)
+    huge = ros.to_feature(0.0, "x" * 10**6, Ball(), bench.robot.z)
     for message in (huge, b"", b"\0\1\0\0" + b"\xff" * 40):
         bench.target.publish(message)
         bench.harness.spin_for(0.05)
@@ -174,7 +174,7 @@ def test_huge_and_malformed_messages_are_dropped_and_told_in_a_line(bench):
     for _ in range(3):  # best effort: one of them arrives
         publisher.publish(jacobian)
         bench.harness.spin_for(0.05)
-    bench.target.publish(ros.to_feature(0.0, "no \x1b[2J frame", Ball(), bench.robot.ball))
+    bench.target.publish(ros.to_feature(0.0, "no \x1b[2J frame", Ball(), bench.robot.z))
     bench.wait(lambda: "refused" in bench.text(), what="a target that is small enough to be heard")
     bench.wait_for("SERVOING")
     output = bench.harness.output(bench.process)

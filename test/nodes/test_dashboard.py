@@ -103,15 +103,15 @@ def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
     harness, robot, _, _, page = loop
     targets = harness.collect(PointStamped, Ball.topics.target.name, ros.QOS_RELIABLE)
     start(harness, page)
-    target = np.round(robot.ball + [0.1, -0.05, 0.05], 3)
+    target = np.round(robot.z + [0.1, -0.05, 0.05], 3)
     page.set(TARGET, tuple(target.tolist()))
     harness.spin_for(4.5)  # longer than what needs no button is left alone
     assert not targets
     np.testing.assert_array_equal(page.value(TARGET), target)
     page.press("Go")
     harness.spin_until(robot.moving, what="the arm to move")
-    harness.spin_until(lambda: np.linalg.norm(robot.ball - target) < 0.005, what="the ball there")
-    halfway, there = (tuple((robot.ball - [x, 0.0, 0.0]).tolist()) for x in (0.05, 0.1))
+    harness.spin_until(lambda: np.linalg.norm(robot.z - target) < 0.005, what="the ball there")
+    halfway, there = (tuple((robot.z - [x, 0.0, 0.0]).tolist()) for x in (0.05, 0.1))
     page.drag(TARGET_NODE, halfway, there)
     harness.spin_until(robot.moving, what="the arm to move again")
     page.press("Stop")
@@ -164,13 +164,8 @@ def test_what_is_taught_on_the_page_is_gone_to_where_the_object_is(loop, tmp_pat
     harness, robot, _, _, page = loop
     name = "fvs_controller_node"
     assert harness.set_parameters(name, references_path=str(tmp_path / "r.yaml"))[0].successful
-    objects = harness.publisher(PointStamped, Ball.topics.object.name)
-    object_m = np.array([0.1, 0.05, 1.3])
-
-    def look():
-        objects.publish(ros.to_feature(robot.now_s(), CAMERA_FRAME, Ball(), object_m))
-
-    timer, taught_m = harness.node.create_timer(1 / 30, look), robot.ball - object_m
+    robot.show_object()
+    taught_m = robot.from_object()
     page.set("Name", "grasp")
     harness.spin_until(lambda: ">Object</span>" in page.text(), what="the object")
     harness.spin_for(1.0)  # for a mean
@@ -181,25 +176,25 @@ def test_what_is_taught_on_the_page_is_gone_to_where_the_object_is(loop, tmp_pat
     label = "grasp: object, 100 %"
     harness.spin_until(lambda: label in page.elements[page.find("Go to")]["options"], what="a list")
     assert "in the object&#x27;s frame" in page.text()
-    object_m += [-0.06, 0.04, 0.05]
+    robot.move_object(-0.06, 0.04, 0.05)
     page.set("Go to", label)
 
     def there():
-        return np.linalg.norm(robot.ball - object_m - taught_m) < 0.005
+        return np.linalg.norm(robot.from_object() - taught_m) < 0.005
 
     harness.spin_until(there, 30.0, "the arm there", page.text)
-    object_m += [0.0, -0.03, 0.0]
-    x_m, y_m, z_m = object_m
+    robot.move_object(0.0, -0.03, 0.0)
+    x_m, y_m, z_m = robot.object
     drawn_m = 2.0 - z_m, x_m, 0.4 - y_m  # from a level camera, as long as its pose is not known
     harness.spin_until(lambda: np.allclose(page.positions[OBJECT_NODE], drawn_m), what="it")
 
     def followed():
-        return np.allclose(page.positions[TARGET_NODE], object_m + taught_m, atol=0.002)
+        return np.allclose(page.positions[TARGET_NODE], robot.object + taught_m, atol=0.002)
 
     harness.spin_until(followed, what="the target to follow the object", story=page.text)
     page.press("Stop")
     wait_for_state(harness, page, "READY")
-    harness.node.destroy_timer(timer)
+    robot.object = None
 
 
 def test_images_are_asked_for_only_while_a_browser_looks(loop, pages):
@@ -352,9 +347,9 @@ def test_a_person_reads_aims_and_stops_in_a_browser(loop, window):
         return float(re.sub("[^0-9.]", "", look["error"]) or "nan")
 
     # While the browser is busy this process is, too, and so the played robot: it stands.
-    aim(robot.ball + [0.15, -0.05, 0.05])
+    aim(robot.z + [0.15, -0.05, 0.05])
     wait(lambda look: look["state"] == "READY" and error_mm(look) > 100.0, "a way to go")
-    aim(robot.ball)
+    aim(robot.z)
     wait(lambda look: error_mm(look) < 10.0, "a way of nothing")
     press("Stop")
     wait(lambda look: look["answer"].startswith("stop: "), "an answer")

@@ -42,13 +42,15 @@ OTHERS = {
 }
 #: What rclpy gives every node.
 BUILT_IN = {"use_sim_time", "start_type_description_service"}
-#: Topics that a node has for some time only, with ``tf2_msgs``, or with one alone of OTHERS.
+#: Topics that a node has for some time only, with ``tf2_msgs``, or with one alone of OTHERS; beside
+#: a detector the simulator publishes no images of tool and object.
 AT_TIMES = {
     topics.COLOR_IMAGE,
     topics.CAMERA_INFO,
     topics.COMMANDS,
     topics.POSITION_COMMANDS,
     topics.TF_STATIC,
+    *(topic for kind in KINDS.values() for topic in (kind.topics.tool, kind.topics.object)),
 }
 TOPICS = (*topics.COMMON, *(topic for kind in KINDS.values() for topic in kind.topics))
 #: Time in which what is not declared would show.

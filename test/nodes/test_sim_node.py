@@ -56,6 +56,7 @@ def test_it_publishes_what_a_ur_and_a_detector_publish(simulator):
 
 def test_it_obeys_a_command_in_kinematic_order_and_holds_it(simulator):
     states = simulator.collect(JointState, topics.JOINT_STATES.name)
+    colours = simulator.collect(Image, topics.COLOR_IMAGE.name, ros.QOS_RELIABLE)
     commands = simulator.publisher(Float64MultiArray, topics.COMMANDS.name)
     simulator.spin_until(lambda: len(states) > 0)
     start = positions(states[-1])
@@ -73,6 +74,10 @@ def test_it_obeys_a_command_in_kinematic_order_and_holds_it(simulator):
     simulator.spin_until(lambda: abs(states[-1].velocity[0]) < 1e-3, what="the arm to stand")
     assert simulator.call(Trigger, "fvs_sim_node/reset").success
     simulator.spin_until(lambda: np.abs(positions(states[-1]) - start).max() < 1e-3)
+    count = len(colours)  # one is drawn while the simulation begins at zero again
+    simulator.spin_until(lambda: len(colours) > count + 1)
+    stamps_s = [ros.from_stamp(image.header.stamp) for image in colours]
+    assert stamps_s == sorted(stamps_s)
 
 
 def test_images_are_rendered_for_subscribers_and_match_camera_info(ros_test):

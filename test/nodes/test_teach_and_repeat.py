@@ -1,40 +1,34 @@
-"""Teach and repeat with a real controller: the object comes from somebody else's tracker."""
+"""Teach and repeat with a real controller: tool and object come from somebody else's tracker."""
 
 import json
 import signal
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PoseStamped
 from harness import PlayedRobot, Statuses
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros
-from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.pose import Pose
 
 NAME = "fvs_controller_node"
 
 
 class Kitchen(Statuses):
-    """A controller, a played robot, and an object that is published at 30 Hz."""
+    """A controller, a played robot, and an object."""
 
-    def __init__(self, harness, path, seen=True):
+    def __init__(self, harness, path, kind=None, seen=True):
         super().__init__(harness, NAME, ros.QOS_EVERY)
-        self.object_m, self.seen = np.array([0.1, 0.05, 1.3]), seen
-        harness.start_node("fvs_controller_node.node", references_path=path)
-        self.robot = PlayedRobot(harness)
+        self.robot = PlayedRobot(harness, kind)
+        feature = self.robot.kind.name
+        harness.start_node("fvs_controller_node.node", references_path=path, feature=feature)
         self.robot.meet_controller()
-        name = Ball.topics.object.name
-        self._objects = harness.publisher(PointStamped, name)
-        harness.node.create_timer(1 / 30, self._look)
         if seen:
+            self.robot.show_object()
+            name = self.robot.kind.topics.object.name
             self.wait(lambda: self.value(f"{name}_age_s") not in ("", "inf"), what="the object")
         harness.spin_for(0.5)  # for a mean
-
-    def _look(self):
-        if self.seen:
-            message = ros.to_feature(self.robot.now_s(), PlayedRobot.FRAME, Ball(), self.object_m)
-            self._objects.publish(message)
 
     def call(self, service):
         return self.harness.call(Trigger, f"{NAME}/{service}")
@@ -43,33 +37,33 @@ class Kitchen(Statuses):
         process = self.harness.start("fvs_tools.client_node", *arguments)
         return self.harness.wait(process, 40.0), self.harness.output(process)
 
-    def off_m(self, from_object_m):
-        return np.linalg.norm(self.robot.ball - self.object_m - from_object_m)
+    def off_m(self, taught):
+        return np.linalg.norm(self.robot.kind.minus(self.robot.from_object(), taught))
 
 
 def test_what_is_taught_is_found_again_where_the_object_is(ros_test, tmp_path):
-    path = tmp_path / "references.yaml"
-    kitchen = Kitchen(ros_test, path)
-    taught_m = kitchen.robot.ball - kitchen.object_m
+    path, name = tmp_path / "references.yaml", Pose.topics.object.name
+    kitchen = Kitchen(ros_test, path, Pose())
+    taught = kitchen.robot.from_object()
     answer = kitchen.call("teach")
     assert "grasp in the frame object" in answer.message
     assert "frame: object" in path.read_text()
 
-    kitchen.object_m = kitchen.object_m + [-0.06, 0.04, 0.05]
+    kitchen.robot.move_object(-0.06, 0.04, 0.05, 0.02, -0.03, 0.05)
     assert kitchen.call("go_to_reference").success
     started = []
     kitchen.wait(lambda: started.append(kitchen.call("start")) or started[-1].success, what="READY")
     kitchen.wait(lambda: kitchen.reason() == "SETTLED", what="SETTLED")
-    assert kitchen.off_m(taught_m) < 0.005
+    assert kitchen.off_m(taught) < 0.005
 
     kitchen.harness.set_parameters(NAME, object_may_be_hidden_s=1.0)
     kitchen.harness.spin_for(0.1)  # so that an image of it tells that it stands
-    kitchen.seen = False
+    kitchen.robot.silent.add(name)
     kitchen.wait(lambda: "where the object stood counts" in kitchen.text(), what="a remark")
     kitchen.wait(lambda: kitchen.reason() == "STALE", what="a hold")
-    assert "object_position is" in kitchen.text()
-    assert "not taught: object_position is" in kitchen.call("teach").message
-    kitchen.seen = True
+    assert f"{name} is" in kitchen.text()
+    assert f"not taught: {name} is" in kitchen.call("teach").message
+    kitchen.robot.silent.clear()
     kitchen.wait(lambda: kitchen.reason() == "SETTLED", what="SETTLED")
 
     assert kitchen.harness.set_parameters(NAME, reference="place")[0].successful
@@ -77,6 +71,8 @@ def test_what_is_taught_is_found_again_where_the_object_is(ros_test, tmp_path):
     assert not answer.success
     assert "unknown reference 'place'; known are grasp" in answer.message
     kitchen.wait(lambda: kitchen.reason() == "SETTLED", what="the old target, which stays")
+    kitchen.harness.publisher(PoseStamped, name)
+    kitchen.wait(lambda: f"{name} has 2 publishers" in kitchen.text(), what="a remark")
 
 
 def test_without_an_object_an_absolute_target_is_taught(ros_test, tmp_path):
@@ -88,19 +84,19 @@ def test_without_an_object_an_absolute_target_is_taught(ros_test, tmp_path):
 
 def test_the_program_teaches_and_goes_there(ros_test, tmp_path):
     kitchen = Kitchen(ros_test, tmp_path / "references.yaml")
-    taught_m = kitchen.robot.ball - kitchen.object_m
+    taught = kitchen.robot.from_object()
 
     code, words = kitchen.run("teach", "grasp")
     assert code == 0, words
-    kitchen.object_m = kitchen.object_m + [0.05, -0.04, 0.05]
+    kitchen.robot.move_object(0.05, -0.04, 0.05)
     code, words = kitchen.run("go", "grasp")
     assert code == 0, words
     assert "grasp: reached in" in words
-    there_m = kitchen.robot.ball
-    assert kitchen.off_m(taught_m) < 0.005
-    kitchen.object_m = kitchen.object_m + [0.0, 0.1, 0.0]
+    there_m = kitchen.robot.z
+    assert kitchen.off_m(taught) < 0.005
+    kitchen.robot.move_object(0.0, 0.1, 0.0)
     kitchen.harness.spin_for(0.5)
-    assert np.linalg.norm(kitchen.robot.ball - there_m) < 0.002, "it follows the object"
+    assert np.linalg.norm(kitchen.robot.z - there_m) < 0.002, "it follows the object"
 
     code, words = kitchen.run("go", "grasp", "place")
     assert code == 1
@@ -116,7 +112,7 @@ def test_a_signal_stops_the_arm(ros_test, tmp_path, number):
     kitchen = Kitchen(ros_test, tmp_path / "references.yaml")
     assert kitchen.call("teach").success
     kitchen.harness.set_parameters(NAME, settled_error_m=1e-5)  # never reached
-    kitchen.object_m = kitchen.object_m + [0.05, -0.04, 0.05]
+    kitchen.robot.move_object(0.05, -0.04, 0.05)
     process = kitchen.harness.start("fvs_tools.client_node", "go", "grasp")
     kitchen.wait(lambda: kitchen.reason() == "SERVOING", what="SERVOING")
     assert kitchen.harness.stop(process, number) == 1
