@@ -126,10 +126,10 @@ def test_an_object_on_a_belt_is_followed(scene):
 def test_a_lone_wrong_image_moves_nothing_and_a_lasting_jump_is_a_new_target(scene):
     scene.ask()
     scene.run(2.5)
-    jump_m = np.zeros(scene.kind.size)
-    jump_m[1] = 0.1
-    wrong = [scene.kind.retract(scene.object, jump_m)]
-    commands = scene.run(0.2, lambda scene: wrong.pop() if wrong else scene.measured())
+    jump_m, mirrored_m = np.zeros((2, scene.kind.size))
+    jump_m[1], mirrored_m[3:4] = 0.1, 0.4  # a ball has no mirrored pose
+    images = [scene.kind.retract(scene.object, off_m) for off_m in (mirrored_m, 0 * jump_m, jump_m)]
+    commands = scene.run(0.2, lambda scene: images.pop() if images else scene.measured())
     assert max(np.abs(c.velocity_rad_s).max() for c in commands) < 0.05
     scene.object = scene.kind.retract(scene.object, jump_m)
     scene.run(2.5)
