@@ -219,10 +219,11 @@ def _behind_lens(fit: ChainFit, path: Path, data: DataSet) -> ChainFit:
     shifts = np.stack([np.ones(len(z)), np.sum((z[:, :2] / z[:, 2:3]) ** 2, axis=1)], axis=1)
     deviation = math.sqrt(np.mean(np.sum(shifts @ fit.lens_covariance * shifts, axis=1)))
     least = max(_LENS_DEVIATIONS * deviation, _LEAST_LENS)
-    notable = math.sqrt(np.mean((shifts @ lens) ** 2)) >= least
-    if not notable or not np.abs(lens).max() <= MOST_LENS:
-        return fit
     for _ in range(_LENS_ROUNDS):
+        notable = math.sqrt(np.mean((shifts @ lens) ** 2)) >= least
+        if not notable or not np.abs(lens).max() <= MOST_LENS:
+            # Perhaps only now: what a fit behind it takes back was no error of the lens.
+            return replace(fit, lens=lens, lens_covariance=behind.lens_covariance)
         fitting = _Fitting(path, kind.without_lens(z, *lens), kind)
         start = _Optimum(behind.chain.weighted(kind.weights), behind.time_offset_s, 0.0)
         behind = fitting.finish(start)
