@@ -416,7 +416,7 @@ def give_target(loop: ClosedLoop, goal_rad: Joints) -> np.ndarray:
     """Give the goal as the camera sees it now as a target; returns the true one, (m,)."""
     simulation = loop.simulation
     true = simulation.true_chain(loop.kind).position(np.array(goal_rad))
-    loop.set_target(np.append(simulation.as_seen(true[:3]), true[3:]))
+    loop.set_target(simulation.as_seen(true))
     return true
 
 

@@ -210,6 +210,8 @@ def exposed(
     pose: RigidPose, linear_m_s: np.ndarray, angular_rad_s: np.ndarray, exposure_s: float
 ) -> list[RigidPose]:
     """Poses during an exposure about its middle, of a body that moves at these speeds, (3,)."""
+    if not (linear_m_s.any() or angular_rad_s.any()):
+        return [pose]
     return [
         RigidPose(
             pose.position_m + after_s * linear_m_s,

@@ -305,7 +305,7 @@ class Simulation:
             u, v = camera.project(true.position_m)
             if not (0.0 <= u < camera.width and 0.0 <= v < camera.height):
                 return None, 0.0
-            position_m, rotation, fraction = self.as_seen(true.position_m), true.rotation, 1.0
+            z, fraction = self.as_seen(self.kind.of_body(true.position_m, true.rotation)), 1.0
         else:
             # As from a camera that sends only the region around the body: drawing takes long.
             region = part.grown(part.width // 8 + 8, camera)
@@ -314,9 +314,9 @@ class Simulation:
             detection = detector.detect(self.time_s, *images, view).detection
             if detection is None:
                 return None, 0.0
-            position_m, rotation = detection.position_m, detection.rotation
+            z = self.kind.of_body(detection.position_m, detection.rotation)
             fraction = detection.visible_fraction
-        return self._blurred(self.kind.of_body(position_m, rotation), rng), fraction
+        return self._blurred(z, rng), fraction
 
     def _blurred(self, z: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """The measurement with further noise, of a rotation along its arc."""
@@ -337,15 +337,14 @@ class Simulation:
         return replace(true, fx=scale * true.fx, fy=scale * true.fy)
 
     # -------------------------------------------------------------------- truth
-    def as_seen(self, position_m: np.ndarray) -> np.ndarray:
-        """The position that a camera with these errors reports for a true one, m, (3,).
+    def as_seen(self, z: np.ndarray) -> np.ndarray:
+        """What a camera with these errors reports for a true measurement, (m,).
 
         For a ball in a rendered image this is accurate to 2 mm (at 2 %), because the ball's size in
         the image does not match its distance.
         """
-        focal = 1.0 + self.config.focal_error
-        x, y, z = (1.0 + self.config.depth_error) * position_m
-        return np.array([x / focal, y / focal, z])
+        scaled = np.append((1.0 + self.config.depth_error) * z[:3], z[3:])
+        return self.kind.without_lens(scaled[None], self.config.focal_error, 0.0)[0]
 
     def true_pose(self) -> RigidPose:
         """Ball or tag as the camera sees it now. For evaluation only."""
