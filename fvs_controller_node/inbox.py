@@ -141,7 +141,7 @@ class Inbox:
             OBJECT: ("is the object in view, and its detector running?", "ball_max_age_s"),
             **dict.fromkeys((SPEED_SCALING, ROBOT_DESCRIPTION), ()),
         }
-        names = {FEATURE: kind.topics.tool.name, OBJECT: kind.topics.object.name}
+        names = {FEATURE: kind.feature.name, OBJECT: kind.topics.object.name}
         self._monitors = {
             key: InputMonitor(config, names.get(key, key), *words) for key, words in hints.items()
         }

@@ -202,7 +202,10 @@ class ServoLoop:
         :meth:`~fvs_controller_node.goal.Goal.set`.
         """
         there_s = on_own_clock(stamp_s, self._stamp_s)
-        if frame == OBJECT_FRAME:
+        if frame == OBJECT_FRAME and self.kind.on_arm:
+            z = self._lens.measured(self.kind.inverse(z))
+            frame = self.supervisor.config.feature_frame
+        elif frame == OBJECT_FRAME:
             return self._set_relation(z)
         accepted, text = self._set_target(z, frame, there_s, self._stamp_s - there_s)
         if accepted:
@@ -239,7 +242,8 @@ class ServoLoop:
         if relative and age_s > may_be_s and monitor.late(now_s):
             raise ValueError(f"{monitor.name} is {age_s:.1f} s old; is the object in view?")
         z, deviation_m = self._teacher.teach(relative)
-        frame = OBJECT_FRAME if relative else config.feature_frame
+        of_object = relative or self.kind.on_arm
+        frame = OBJECT_FRAME if of_object else config.feature_frame
         return Reference(z, frame, deviation_m=deviation_m)
 
     def go_to(self, reference: Reference) -> tuple[bool, str]:

@@ -76,9 +76,10 @@ class ControllerNode(ros.FvsNode):
         self._sliding = self.publisher(self._kind.topics.sliding)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         add_tool = partial(self._on_image, FEATURE, self._loop.add_image)
-        self.subscribe(self._kind.topics.tool, add_tool)
+        self.subscribe(self._kind.feature, add_tool)
         add_object = partial(self._on_image, OBJECT, self._loop.add_object)
-        self.subscribe(self._kind.topics.object, add_object)
+        if not self._kind.on_arm:
+            self.subscribe(self._kind.topics.object, add_object)
         self.subscribe(topics.JACOBIAN, self._on_jacobian)
         if self._kind.rigid:
             self.subscribe(topics.KINEMATIC_CHAIN, self._on_chain)

@@ -57,7 +57,7 @@ class References:
             "version": 1,
             _FEATURE: kind.name,
             "joints": list(joint_names),
-            "mount": "fixed",  # of the camera
+            "mount": kind.camera_mount,
         }
 
     def get(self, name: str) -> Reference:

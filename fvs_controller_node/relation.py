@@ -135,11 +135,12 @@ class Teacher:
 
         A ``ValueError`` says why that is not known well.
         """
-        topics = self._kind.topics
-        z, deviation_m = self.tool.mean(topics.tool.name)
+        z, deviation_m = self.tool.mean(self._kind.feature.name)
+        if self._kind.on_arm:
+            return self._kind.inverse(self._lens.true(z)), deviation_m
         if not relative:
             return z, deviation_m
-        object_z, object_m = self.object.mean(topics.object.name)
+        object_z, object_m = self.object.mean(self._kind.topics.object.name)
         z = self._kind.relative(self._lens.true(z), self._lens.true(object_z))
         return z, float(np.hypot(deviation_m, object_m))
 

@@ -100,7 +100,7 @@ class DashboardNode(ros.FvsNode):
             self, JointState, topics.JOINT_STATES.name, self._on_joint_states
         )
         for topic, name in (
-            (self._kind.topics.tool, "feature"),
+            (self._kind.feature, "feature"),
             (self._kind.topics.object, "object"),
         ):
             self.subscribe(topic, partial(self._on_feature, topic, name))

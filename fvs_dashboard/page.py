@@ -106,7 +106,7 @@ class Page:
             self.scene.update(board, now_s)
             if self._shown % 4 == 0:  # the curves are long and change slowly
                 self._charts.update(board, now_s)
-                names = self._kind.topics.tool.name, self._kind.topics.object.name
+                names = self._kind.feature.name, self._kind.topics.object.name
                 self._inputs.content = markup.inputs_html(board, *names, now_s)
                 note = _UNKNOWN if board.camera is None else board.newest("arm", now_s) or ""
                 self._note.content = markup.note_html(note)

@@ -51,7 +51,7 @@ class DetectorNode(ros.FvsNode):
         self._config = DetectorConfig.from_values(self.values)
         self._kind = KINDS[self._config.feature]()
         self._detector = make_detector(self._config)
-        self._outputs = {self._detector: self.publisher(self._kind.topics.tool)}
+        self._outputs = {self._detector: self.publisher(self._kind.feature)}
         object_detector = make_object_detector(self._config)
         if object_detector is not None:
             self._outputs[object_detector] = self.publisher(self._kind.topics.object)
@@ -247,7 +247,7 @@ class DetectorNode(ros.FvsNode):
             return WAITING, "waiting for the first images"
         tool, *others = self._sightings.values()
         kind = self._kind
-        words = tool.problem or f"the {kind.what} is seen, {kind.topics.tool.name} is published"
+        words = tool.problem or f"the {kind.what} is seen, {kind.feature.name} is published"
         for sighting in others:
             words += f"; object: {sighting.problem or kind.topics.object.name + ' is published'}"
         return (LOST if tool.problem else TRACKING), words

@@ -133,6 +133,8 @@ class _BehindCamera(Estimator):
         super().__init__(kind)
         if not self.kind.rigid:
             raise ValueError(f"a {self.kind.what} does not turn with the camera: use rbf or frozen")
+        if self.kind.on_arm:
+            raise ValueError("a camera on the arm turns with it: use poe, rbf or frozen")
         self.camera = CameraPose(deviation_rad, memory)
 
     def reset(self) -> None:

@@ -32,7 +32,7 @@ class Chart:
         out = chain.points_m - chain.feature_m[:3]
         self._points = chain.points_m - axes * np.sum(out * axes, axis=1, keepdims=True)
         self._axes, self._feature, self._reference = axes, chain.feature_m, chain.reference_rad
-        self._prismatic = chain.prismatic
+        self._prismatic, self._on_arm = chain.prismatic, chain.on_arm
         count = self.basis.size // 3
         self.turns, self.shifts = slice(count), slice(count, 2 * count)
         self.size = 2 * count + chain.feature_m.size + 1
@@ -50,7 +50,8 @@ class Chart:
         points = self._points + self._along(values[self.shifts])
         feature = self._feature + values[self.of_feature]
         axes = self.directions(values)
-        return SerialChain(axes, points, feature, self._reference, self._prismatic)
+        reference, prismatic = self._reference, self._prismatic
+        return SerialChain(axes, points, feature, reference, prismatic, on_arm=self._on_arm)
 
 
 def residuals_and_slopes(
@@ -70,9 +71,9 @@ def residuals_and_slopes(
     basis, joints = chart.basis, np.arange(len(lengths))
     turns = np.cross(chain.axes[:, None], basis) / lengths[:, None, None]
     twists = np.zeros((len(joints) + 1, 2, *basis.shape[:2], 6))  # of the turns, then the shifts
-    twists[joints, 0, joints, :, :3] = turns
-    twists[joints, 0, joints, :, 3:] = np.cross(chain.points_m[:, None], turns)
-    twists[joints, 1, joints, :, 3:] = basis
+    twists[chain.order, 0, joints, :, :3] = turns
+    twists[chain.order, 0, joints, :, 3:] = np.cross(chain.points_m[:, None], turns)
+    twists[chain.order, 1, joints, :, 3:] = basis
     twists[1:] -= twists[:-1].copy()
     parts = chain.slopes(joints_rad, np.moveaxis(twists, -1, 1).reshape(len(twists), 6, -1))
     slope = np.zeros((*feature_m.shape, chart.size))

@@ -258,14 +258,16 @@ class _Fitting:
         optima: list[_Optimum] = []
         while len(optima) < _MOST_STARTS:
             axes, points = rng.normal(size=(2, len(reference), 3))
-            chain = SerialChain(axes, middle[:3] + spread_m * points, middle, reference)
+            points_m = middle[:3] + spread_m * points
+            on_arm = self._kind.on_arm
+            chain = SerialChain(axes, points_m, middle, reference, on_arm=on_arm)
             optima.append(self._from_afar(chain, spread_m))
             best, *others = sorted(optimum.cost for optimum in optima)
             if len(optima) >= _LEAST_STARTS and others[0] < (1.0 + _SAME) * best + _SAME_COST:
                 break
         optimum = min(optima, key=_cost)
         for joint in range(len(reference)):
-            slopes = optimum.chain.jacobian(reference)[:3]
+            slopes = (-1.0 if self._kind.on_arm else 1.0) * optimum.chain.jacobian(reference)[:3]
             is_joint = np.arange(len(reference)) == joint
             shifting = replace(
                 optimum.chain,

@@ -79,7 +79,7 @@ class CollectionRun:
 
     def __init__(self, config: CollectorConfig) -> None:
         self.config, self._names = config, config.joint_names
-        self._unseen = f"no {config.kind.topics.tool.name}"
+        self._unseen = f"no {config.kind.feature.name}"
         self._motion: RandomMotion | None = None
         self._timeline = Timeline()
         self._joints: np.ndarray | None = None

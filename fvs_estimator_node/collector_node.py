@@ -47,7 +47,7 @@ class CollectorNode(ros.FvsNode):
         self._joints: np.ndarray | None = None
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         self._kind = config.kind
-        self.subscribe(self._kind.topics.tool, self._on_feature)
+        self.subscribe(self._kind.feature, self._on_feature)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         ros.LimitsReader(self, self._take_limits, self._run.fail)
@@ -75,7 +75,7 @@ class CollectorNode(ros.FvsNode):
     def _on_feature(self, message: Any) -> None:
         kind, frame = self._kind, self._config.feature_frame
         try:
-            z = ros.from_feature(message, kind, frame, kind.topics.tool.name)
+            z = ros.from_feature(message, kind, frame, kind.feature.name)
         except ros.MessageError as error:
             self._run.fail(str(error))
             return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 from fvs_ros.kinds import KINDS, Kind, KindConfig
+from fvs_ros.kinds.kind import FIXED, MOUNTS, ON_ARM
 from fvs_ros.timeline import Sample
 from fvs_ros.vectors import check_arrays
 
@@ -46,9 +48,10 @@ class FileError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class _OfFeature:
-    """What was measured: the name of a kind of feature, and its frame."""
+    """What was measured: the name of a kind of feature, its frame, and where the camera was."""
 
     feature: str = KindConfig.feature
+    camera_mount: str = KindConfig.camera_mount
     feature_frame: str = CAMERA_FRAME
     #: The field with measurements, (k, m).
     _measured: ClassVar[str] = "z"
@@ -56,7 +59,8 @@ class _OfFeature:
     @property
     def kind(self) -> Kind:
         """The kind of feature, with the usual parameters; a ``ValueError`` if m is not its own."""
-        kind, count = KINDS[self.feature](), getattr(self, self._measured).shape[1]
+        kind = KINDS[self.feature](camera_mount=self.camera_mount)
+        count = getattr(self, self._measured).shape[1]
         if count != kind.numbers:
             raise ValueError(f"a {kind.name} has {kind.numbers} numbers, got {count}")
         return kind
@@ -75,7 +79,10 @@ class _OfFeature:
         frame, right = self.feature_frame, expected.feature_frame
         if frame != right:
             raise ValueError(f"positions in the frame {frame!r}, expected {right!r}")
-        made_for, right = (f"{of.name} ({of.numbers} numbers)" for of in (self.kind, expected.kind))
+        made_for, right = (
+            f"{of.name} ({of.numbers} numbers){', camera_mount arm' * of.on_arm}"
+            for of in (self.kind, expected.kind)
+        )
         if made_for != right:
             raise ValueError(f"made for feature {made_for}, expected {right}")
 
@@ -198,8 +205,11 @@ class TrainedModel(_OfFeature):
                 f"{len(self.joint_names)} joint names, networks of {n} and a chain of {joints} "
                 "joints do not fit together"
             )
-        check_arrays(self, _MODEL, {"n": n, "m": m})
+        check_arrays(self, _MODEL, {"n": n})
         self._check_numbers()
+        learned = len(self.kind.learned)
+        if m != learned:
+            raise ValueError(f"networks of {m} numbers, expected {learned}")
         low, high = self.joint_box_rad
         if np.any(low > high):
             raise ValueError("joint_box_rad has a least value above the greatest")
@@ -289,7 +299,9 @@ def load_model(
         chain = None
         if any(name in content for name in _CHAIN):
             content.setdefault("chain_lens", np.zeros(2))  # older files lack it
-            chain = SerialChain(**{name: content[stored] for stored, name in _CHAIN.items()})
+            numbers = {name: content[stored] for stored, name in _CHAIN.items()}
+            on_arm = content.common["camera_mount"] == ON_ARM
+            chain = SerialChain(**numbers, on_arm=on_arm)
         trained = TrainedModel(
             RbfModel(*(content[name] for name in _NETWORKS)),
             **{name: content[name] for name in _MODEL},
@@ -364,6 +376,11 @@ def _number_or_text(name: str, value: Any) -> np.ndarray:
     array = np.asarray(value)  # of a member that is no array: its bytes
     if array.dtype.kind not in "biufU":
         raise ValueError(f"{name} is of type {array.dtype}, expected numbers or text")
+    if array.dtype.kind == "U":
+        code = np.dtype(np.uint32).newbyteorder(array.dtype.byteorder)
+        letters = np.frombuffer(array.tobytes(), code)
+        if letters.size and letters.max() > sys.maxunicode:  # no text, and reading it fails
+            raise ValueError(f"{name} holds characters that are none")
     if not array.itemsize:  # any number of them would take no bytes here, and hours as a list
         raise ValueError(f"{name} holds texts without characters")
     return array
@@ -392,10 +409,14 @@ class _Content(dict[str, Any]):
         feature = self.text("feature") if "feature" in self else KindConfig.feature
         if feature not in KINDS:
             raise ValueError(f"made for feature {feature!r}, expected {', '.join(KINDS)}")
+        mount = self.text("camera_mount") if "camera_mount" in self else FIXED
+        if mount not in MOUNTS:
+            raise ValueError(f"made for camera_mount {mount!r}, expected {', '.join(MOUNTS)}")
         self.common: dict[str, Any] = {
             "joint_names": names,
             "feature_frame": frame,
             "feature": feature,
+            "camera_mount": mount,
         }
 
     def texts(self, name: str, dimensions: int = 1) -> tuple[str, ...]:

@@ -86,7 +86,7 @@ class EstimationLoop:
     def problem(self) -> str:
         """Why there is no estimate yet; empty if there is one."""
         unseen = not self.kind.flat and self.track.newest is None
-        name = self.kind.topics.tool.name
+        name = self.kind.feature.name
         return self.estimator.problem or (f"no {name} yet" if unseen else "")
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:

@@ -51,7 +51,7 @@ class EstimatorNode(ros.FvsNode):
         self._jacobian = self.publisher(topics.JACOBIAN)
         self._chain = self.publisher(topics.KINEMATIC_CHAIN)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self.subscribe(self._kind.topics.tool, self._on_feature)
+        self.subscribe(self._kind.feature, self._on_feature)
         self.subscribe(self._kind.topics.sliding, self._on_sliding)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
@@ -114,7 +114,7 @@ class EstimatorNode(ros.FvsNode):
     def _on_feature(self, message: Any) -> None:
         kind, frame = self._kind, self._config.feature_frame
         try:
-            z = ros.from_feature(message, kind, frame, kind.topics.tool.name)
+            z = ros.from_feature(message, kind, frame, kind.feature.name)
         except ros.MessageError as error:
             self._complain(str(error))
             return
@@ -202,13 +202,13 @@ class EstimatorNode(ros.FvsNode):
         return ros.OK, state, f"estimating; {usual}"
 
     def _feature_age_s(self, now_s: float) -> float:
-        return self.monitor(self._kind.topics.tool.name).age_s(now_s)
+        return self.monitor(self._kind.feature.name).age_s(now_s)
 
     def _late_input(self, now_s: float) -> str:
         """Which input is late, in words; empty if none."""
         ages_s = {
             topics.JOINT_STATES.name: now_s - self._joints_s,
-            self._kind.topics.tool.name: self._feature_age_s(now_s),
+            self._kind.feature.name: self._feature_age_s(now_s),
         }
         for topic, age_s in ages_s.items():
             if age_s > FRESH_S:
@@ -226,7 +226,7 @@ class EstimatorNode(ros.FvsNode):
             {
                 "method": self._config.method,
                 "joint_states_age_s": now_s - self._joints_s,
-                f"{self._kind.topics.tool.name}_age_s": self._feature_age_s(now_s),
+                f"{self._kind.feature.name}_age_s": self._feature_age_s(now_s),
                 **self._loop.status_values(),
             },
         )

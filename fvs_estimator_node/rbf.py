@@ -30,7 +30,7 @@ class RbfModel:
     widths : ndarray, shape (n, k)
         delta_it, rad, positive.
     weights : ndarray, shape (n, m, k)
-        W_i, per rad, of the m numbers of the feature.
+        W_i, per rad, of the m numbers of the feature; of a twist, for a camera on the arm.
 
     Raises
     ------
@@ -129,7 +129,7 @@ class FrozenRbfEstimator(Estimator):
     def __init__(self, model: RbfModel, config: Any = None, kind: Kind | None = None) -> None:
         super().__init__(kind)
         self.config: Any = config if config is not None else self.config_type()
-        self.model, self._offline = model, model.weights * self.kind.weights[:, None]
+        self.model, self._offline = model, model.weights * self.kind.learned[:, None]
         self._offset, self._slope, self._curvature = _exponent_terms(model.centres, model.widths)
         self._theta, self._scratch = np.empty((2, self._offset.size))
         self.reset()

@@ -9,6 +9,7 @@ from typing import Any
 from fvs_estimator_node.base import CHAIN, Estimator
 from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
 from fvs_estimator_node.files import TrainedModel
+from fvs_estimator_node.on_arm import OnArmPoeEstimator
 from fvs_estimator_node.online import LkfEstimator, RlsEstimator, UkfEstimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator
 from fvs_ros.joints import JOINT_PARAMETERS
@@ -24,6 +25,8 @@ ESTIMATORS: dict[str, type[Any]] = {
     "ukf": UkfEstimator,
     "rls": RlsEstimator,
 }
+#: In place of those, with the camera on the arm.
+_ON_ARM: dict[str, type[Any]] = {"poe": OnArmPoeEstimator}
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,8 @@ def create_estimator(
         known = ", ".join(sorted(ESTIMATORS))
         raise ValueError(f"unknown estimator method {method!r}; known are {known}")
     made_by = ESTIMATORS[method]
+    if kind is not None and kind.on_arm:
+        made_by = _ON_ARM.get(method, made_by)
     config = made_by.config_type.from_values(values or {}, f"{made_by.group}.")
     part, source = made_by.needs(config), None
     if part:

@@ -98,6 +98,11 @@ def train(
     options = options if options is not None else TrainingOptions()
     rng = np.random.default_rng(options.seed)
     poe = options.method == "poe"
+    if data.kind.on_arm and not poe:
+        raise TrainingError(
+            "pairs of images of one object do not tell how a camera on the arm sees another: train "
+            "with the method poe"
+        )
     fit, why = _fitted(data, say, needed=poe)
     model, trained_on, errors = _networks(data, fit, options, rng, progress, say)
     faults: list[str] = []
@@ -119,6 +124,7 @@ def train(
         joint_names=data.joint_names,
         feature_frame=data.feature_frame,
         feature=data.feature,
+        camera_mount=data.camera_mount,
         errors=errors,
         provenance={**came_from, "data": dict(data.provenance), "notes": notes},
         chain=fit.chain if fit is not None and not why else None,
@@ -158,7 +164,8 @@ def _networks(
         z = weights * data.z
         good = inliers(weights * fit.chain.position(data.joints_rad) - z, z)
         trained_on = range_of(data.joints_rad[good], data.z[good], rng)
-        return distil(fit.chain, trained_on["joint_box_rad"], options.count, rng), trained_on, {}
+        box_rad = trained_on["joint_box_rad"]
+        return distil(fit.chain, box_rad, options.count, rng), trained_on, {}
     pairs.joints = _joints_at_exposures(data, fit.time_offset_s if fit is not None else 0.0)
     iterations = options.iterations if options.method == "varpro" else 0
     weighted, good, errors = pairs.train(options.count, iterations, progress)
@@ -175,7 +182,7 @@ def distil(
     width = max(_WIDTH_FACTOR * math.sqrt(float(np.mean(half**2))), 1e-3)
     wide = box_rad + (_BEYOND - 1.0) * np.stack([-half, half])
     joints = _within(wide, rng, _SAMPLES * neurons)
-    columns = np.moveaxis(chain.jacobian(joints), -1, 0)
+    columns = np.moveaxis(learned(chain, joints), -1, 0)
     centres = np.stack([_within(wide, rng, neurons) for _ in range(n)])
     widths = np.full((n, neurons), width)
     weights = []
@@ -183,6 +190,14 @@ def distil(
         theta = rbf_features(centres[[i]], widths[[i]], joints)[:, 0]
         weights.append(ridge_weights(theta, column).T)
     return RbfModel(centres, widths, np.stack(weights))
+
+
+def learned(chain: SerialChain, joints_rad: np.ndarray) -> np.ndarray:
+    """What networks learn of a chain at joints, rad, (k, n): its Jacobian, or its twists."""
+    if not chain.on_arm:
+        return chain.jacobian(joints_rad)
+    twists = np.concatenate(chain.motion(joints_rad)[1:], axis=-1)
+    return np.swapaxes(twists, -1, -2)
 
 
 def _within(box_rad: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -204,8 +219,8 @@ def _joints_at_exposures(data: DataSet, offset_s: float) -> np.ndarray:
 
 def _figures(fit: ChainFit, model: RbfModel, joints_rad: np.ndarray) -> dict[str, Any]:
     """Figures of a fit for the model file, without unknown ones (a model file holds no NaN)."""
-    weights = fit.weights[:, None]
-    truth = weights * fit.chain.jacobian(joints_rad)
+    weights = 1.0 if fit.chain.on_arm else fit.weights[:, None]
+    truth = weights * learned(fit.chain, joints_rad)
     error = np.linalg.norm(weights * model.jacobian(joints_rad) - truth, axis=(1, 2))
     names = ("misfit", "residual_m", "noise_m", "ray_noise_m", "lateral_noise_m", "time_offset_s")
     counts = ("time_offset_deviation_s", "outliers", "samples")

@@ -9,6 +9,10 @@ r_i a length. Axes and x0 are those of the reference joints ``r0``, in the camer
 frame, and no length or angle of the robot, is needed. With ``T_i``, the derivative of ``E_i`` at 0,
 column i of the Jacobian is the twist of axis i, as it stands now, applied to x. A tag's pose is a
 point and three directions (:mod:`fvs_ros.kinds.pose`); a direction is turned, but not shifted.
+
+From a camera on the arm the room moves the other way, the joint next to the camera last:
+
+    x(r) = E_n(r0_n - r_n) ... E_2(r0_2 - r_2) E_1(r0_1 - r_1) x0.
 """
 
 from __future__ import annotations
@@ -79,6 +83,8 @@ class SerialChain:
         The reference joints r0, rad, of prismatic ones m.
     prismatic : ndarray, shape (n,), optional
         1 for each prismatic joint, 0 for the others; by default all are revolute.
+    on_arm : bool, optional
+        Whether the camera is on the arm, and x stands in the room.
     lens : ndarray, shape (2,), optional
         Error of the lens through which all of this was measured: ``focal`` and ``radial`` of
         :meth:`~fvs_ros.kinds.Kind.through_lens`; 0 where it is as good as declared.
@@ -95,11 +101,16 @@ class SerialChain:
     reference_rad: np.ndarray
     prismatic: np.ndarray = None  # type: ignore[assignment]
     lens: np.ndarray = None  # type: ignore[assignment]
+    on_arm: bool = False
+    #: The joint of each stage, from the camera on.
+    order: np.ndarray = field(init=False, repr=False)
+    #: Axes by which x moves: the other way round from a camera on the arm.
+    _signed: np.ndarray = field(init=False, repr=False)
     #: T_i and T_i^2, with ``E_i(a) = 1 + sin(a) T_i + (1 - cos(a)) T_i^2``, or ``1 + a T_i`` of a
-    #: prismatic joint, whose T_i^2 is zero; all transposed, for points in rows.
+    #: prismatic joint, whose T_i^2 is zero; all transposed, for points in rows, by stages.
     _twists: np.ndarray = field(init=False, repr=False)
     _squares: np.ndarray = field(init=False, repr=False)
-    #: Axes and points in homogeneous coordinates, (n, 2, 4).
+    #: Axes and points in homogeneous coordinates, (n, 2, 4), by stages.
     _lines: np.ndarray = field(init=False, repr=False)
     #: Point and directions in homogeneous coordinates, (m / 3, 4).
     _carried: np.ndarray = field(init=False, repr=False)
@@ -122,15 +133,18 @@ class SerialChain:
         if lengths.min() < 1e-6:
             raise ValueError("an axis of a chain has no direction")
         self._keep("axes", self.axes / lengths)
-        twists = np.zeros((len(self.axes), 4, 4))
-        self._keep("_shifts", np.flatnonzero(self.prismatic))
-        twists[:, :3, :3] = cross_matrix(self.axes)
-        twists[:, :3, 3] = -(twists[:, :3, :3] @ self.points_m[:, :, None])[..., 0]
-        twists[self._shifts, :3, :3], twists[self._shifts, :3, 3] = 0.0, self.axes[self._shifts]
+        self._keep("order", np.arange(len(self.axes))[:: -1 if self.on_arm else 1])
+        self._keep("_signed", -self.axes if self.on_arm else self.axes)
+        axes, points_m = self._signed[self.order], self.points_m[self.order]
+        twists = np.zeros((len(axes), 4, 4))
+        self._keep("_shifts", np.flatnonzero(self.prismatic[self.order]))
+        twists[:, :3, :3] = cross_matrix(axes)
+        twists[:, :3, 3] = -(twists[:, :3, :3] @ points_m[:, :, None])[..., 0]
+        twists[self._shifts, :3, :3], twists[self._shifts, :3, 3] = 0.0, axes[self._shifts]
         twists = np.ascontiguousarray(np.swapaxes(twists, 1, 2))
         self._keep("_twists", twists)
         self._keep("_squares", twists @ twists)
-        lines = np.stack([self.axes, self.points_m], axis=1)
+        lines = np.stack([axes, points_m], axis=1)
         self._keep("_lines", np.insert(lines, 3, [0.0, 1.0], axis=2))
         carried = np.insert(self.feature_m.reshape(-1, 3), 3, 0.0, axis=1)
         carried[0, 3] = 1.0
@@ -143,6 +157,8 @@ class SerialChain:
     def _transforms(self, joints_rad: np.ndarray) -> np.ndarray:
         """The motions E_i, transposed, shape (..., n, 4, 4), at joints, rad, shape (..., n)."""
         angle = (np.asarray(joints_rad, dtype=float) - self.reference_rad)[..., None, None]
+        if self.on_arm:
+            angle = angle[..., ::-1, :, :]
         sine = np.sin(angle)
         if self._shifts.size:
             sine[..., self._shifts, :, :] = angle[..., self._shifts, :, :]
@@ -183,6 +199,8 @@ class SerialChain:
         if self._shifts.size:
             linear_m[..., self._shifts, :] = axes[..., self._shifts, :]
             axes[..., self._shifts, :] = 0.0
+        if self.on_arm:
+            axes, linear_m = axes[..., ::-1, :], linear_m[..., ::-1, :]
         feature = (self._carried @ stages[..., -1, :, :])[..., :3]
         return feature.reshape(*feature.shape[:-2], -1), axes, linear_m
 
@@ -224,10 +242,10 @@ class SerialChain:
         """
         images, joints = joints_rad.shape
         axes = np.zeros((joints + 1, 6, joints))
-        at = np.arange(joints)
-        axes[at, :3, at] = np.where(self.prismatic[:, None] > 0.0, 0.0, self.axes)
-        axes[at, 3:, at] = np.where(
-            self.prismatic[:, None] > 0.0, self.axes, np.cross(self.points_m, self.axes)
+        at, shifts = np.arange(joints), self.prismatic[:, None] > 0.0
+        axes[self.order, :3, at] = np.where(shifts, 0.0, self._signed)
+        axes[self.order, 3:, at] = np.where(
+            shifts, self._signed, np.cross(self.points_m, self._signed)
         )
         columns = np.concatenate([axes, twists], axis=2).reshape(6 * len(axes), -1)
         size = self.feature_m.size
@@ -261,6 +279,16 @@ class SerialChain:
         """The chain that carries the numbers of this one times weights, (m,)."""
         return replace(self, feature_m=weights * self.feature_m)
 
+    def anchored(self, joints_rad: np.ndarray, feature_m: np.ndarray) -> SerialChain:
+        """The chain with another feature, (m,), m: one that is seen at joints, rad, (n,)."""
+        seen = np.insert(feature_m.reshape(-1, 3), 3, self._carried[:, 3], axis=1)
+        carried = np.linalg.solve(self.transform(joints_rad).T, seen.T).T
+        return replace(self, feature_m=carried[:, :3].ravel())
+
+    def transform(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Motion since the reference joints, transposed, (4, 4), at joints, rad, (n,)."""
+        return self._stages(self._transforms(joints_rad))[-1]
+
     def moved(self, rotation: np.ndarray, translation_m: np.ndarray) -> SerialChain:
         """The chain as seen after ``x -> R x + t``: another camera pose, all else the same.
 
@@ -280,4 +308,5 @@ class SerialChain:
             self.reference_rad,
             self.prismatic,
             self.lens,
+            self.on_arm,
         )

@@ -112,7 +112,7 @@ class Track:
     def problem(self) -> str:
         """Why there is no prediction, in words; empty if there is one, or nothing to use."""
         newest_s, seen_s = self.timeline.joints.newest_stamp_s, self.timeline.seen_stamp_s
-        name = self.kind.topics.tool.name
+        name = self.kind.feature.name
         if newest_s is None or seen_s is None:
             return ""
         age_s = newest_s - seen_s

@@ -47,13 +47,13 @@ class CalibrateNode(ros.FvsNode):
         self._reason = "waiting for the robot's description"
         #: Why joints and feature are not taken; empty while they are.
         self._no_joints = f"no {topics.JOINT_STATES.name} yet"
-        self._no_feature = f"no {self._kind.topics.tool.name} yet"
+        self._no_feature = f"no {self._kind.feature.name} yet"
         if config.urdf_path:
             self._describe(Path(config.urdf_path).read_bytes())
         else:
             self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self.subscribe(self._kind.topics.tool, self._on_feature)
+        self.subscribe(self._kind.feature, self._on_feature)
         self._phases = self._run()
         self.create_timer(_POLL_S, lambda: next(self._phases, None), clock=self.steady_clock)
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
@@ -89,7 +89,7 @@ class CalibrateNode(ros.FvsNode):
     def _on_feature(self, message: Any) -> None:
         kind, frame = self._kind, self._config.feature_frame
         try:
-            z = ros.from_feature(message, kind, frame, kind.topics.tool.name)
+            z = ros.from_feature(message, kind, frame, kind.feature.name)
         except ros.MessageError as error:
             self._no_feature = str(error)
             raise

@@ -44,7 +44,7 @@ class DemoNode(ros.FvsNode):
         self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
         self._target = self.publisher(kind.topics.target)
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
-        truth, object_truth = kind.topics.truth, kind.topics.object_truth
+        truth, object_truth = kind.truth, kind.topics.object_truth
         self.watch(ros.message_class(truth.type), truth.name, self._on_truth, ros.QOS_EVERY)
         self._chooses = True  # the next target, once the last one's time is over
         self._taught: np.ndarray | None = None  # truly, in the object's frame
@@ -84,7 +84,7 @@ class DemoNode(ros.FvsNode):
             record.joints.append((moment_s, velocity))
 
     def _on_truth(self, message: Any) -> None:
-        stamp_s, z = self._read(message, self._kind.topics.truth)
+        stamp_s, z = self._read(message, self._kind.truth)
         if self._config.relative:
             self._tool = stamp_s, z
         else:
@@ -174,7 +174,7 @@ class DemoNode(ros.FvsNode):
         if not self._records and waited_s > demo.START_TIMEOUT_S:
             print(f"the loop did not get ready: {self._state} {self._reason}", flush=True)
             self.exit_code = stop.EXIT_FAILURE
-        late_s = self.monitor(self._kind.topics.truth.name).age_s(self.now_s())
+        late_s = self.monitor(self._kind.truth.name).age_s(self.now_s())
         if self._records and late_s > 5.0:
             print(f"the simulator has been silent for {late_s:.0f} s", flush=True)
             self.exit_code = stop.EXIT_FAILURE

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from fvs_ros.camera import FeatureConfig
 from fvs_ros.kinds.ball import Ball
-from fvs_ros.kinds.kind import ErrorText, Kind
+from fvs_ros.kinds.kind import FIXED, MOUNTS, ErrorText, Kind
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.params import parameter, parts_of
 
@@ -33,11 +34,18 @@ class KindConfig(KindParameters):
 
     feature: str = parameter("ball", "kind of feature that is servoed", choices=tuple(KINDS))
 
-    @property
+    camera_mount: str = parameter(
+        FIXED,
+        "where the camera is: fixed in the room, it sees what rides on the arm; or on the arm, it "
+        "sees what stands in the room",
+        choices=MOUNTS,
+    )
+
+    @cached_property
     def kind(self) -> Kind:
         """The kind of feature."""
         kind: Kind = getattr(self, self.feature)
-        return kind
+        return replace(kind, camera_mount=self.camera_mount)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -10,8 +10,12 @@ import numpy as np
 
 from fvs_ros.chain import cross_matrix
 from fvs_ros.params import Parameters
-from fvs_ros.topics import KindTopics
+from fvs_ros.topics import KindTopics, Topic
 from fvs_ros.vectors import LARGEST, length, plausible
+
+_TWISTS = np.eye(6)
+#: Values of the parameter ``camera_mount``.
+FIXED, ON_ARM = MOUNTS = ("fixed", "arm")
 
 
 @dataclass(frozen=True)
@@ -43,8 +47,9 @@ class Kind(Parameters):
         Fewest joints that can servo it.
     rigid : bool
         Whether it is measured of a rigid body, which twists of space move.
-    flat : bool
-        Whether a motion's tangent vector does not depend on z.
+    camera_mount : str
+        Where the camera is: ``fixed`` in the room, it sees what rides on the arm; or on the
+        ``arm``, it sees what stands in the room.
     """
 
     name = what = model = ""
@@ -53,7 +58,29 @@ class Kind(Parameters):
     axes: ClassVar[tuple[str, ...]] = ()
     outliers = 0.01
     box_size, least_joints = 3, 1
-    rigid = flat = True
+    rigid = True
+
+    camera_mount: str = field(default=FIXED, kw_only=True)
+
+    @property
+    def on_arm(self) -> bool:
+        """Whether the camera is on the arm."""
+        return self.camera_mount == ON_ARM
+
+    @property
+    def flat(self) -> bool:
+        """Whether the motion by given joints does not depend on z, to those that learn it."""
+        return not self.on_arm
+
+    @property
+    def feature(self) -> Topic:
+        """Where what is servoed is published: the tool; to a camera on the arm, the object."""
+        return self.topics.object if self.on_arm else self.topics.tool
+
+    @property
+    def truth(self) -> Topic:
+        """Where a simulator's truth of it is."""
+        return self.topics.object_truth if self.on_arm else self.topics.truth
 
     @cached_property
     def unit(self) -> np.ndarray:
@@ -64,6 +91,11 @@ class Kind(Parameters):
     def weights(self) -> np.ndarray:
         """Length of a unit of each number of z, m, (m,)."""
         return self.unit
+
+    @property
+    def learned(self) -> np.ndarray:
+        """Units of what networks learn, m: of z, or, with the camera on the arm, of a twist."""
+        return np.ones(6) if self.on_arm else self.weights
 
     @property
     def numbers(self) -> int:
@@ -148,12 +180,21 @@ class Kind(Parameters):
         return np.asarray(np.swapaxes(moved, -1, -2))
 
     def to_tangent(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:
-        """Tangent vectors, (d, ...), of motions of the weighted numbers, m, (m, ...), at z."""
-        return motion_m
+        """Tangent vectors, m, (d, ...), of motions of what is learned, (l, ...), at z."""
+        basis = self._basis(z)
+        return motion_m if basis is None else basis @ motion_m
 
     def from_tangent(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:
-        """Motions of the weighted numbers, (m, ...), of tangent vectors, m, (d, ...), at z."""
-        return motion_m
+        """Motions of what is learned, (l, ...), of tangent vectors, m, (d, ...), at z."""
+        basis = self._basis(z)
+        return motion_m if basis is None else basis.T @ motion_m
+
+    def _basis(self, z: np.ndarray | None) -> np.ndarray | None:
+        """Motions, m, (d, l), of z by units of what is learned; None if both are the same."""
+        if not self.on_arm:
+            return None
+        assert z is not None
+        return self.moved_by(z, _TWISTS[:, :3], _TWISTS[:, 3:])
 
     def nearest(self, numbers: np.ndarray) -> np.ndarray:
         """The measurement nearest to any numbers, (m,): of a mean or a polynomial, say."""
@@ -191,6 +232,10 @@ class Kind(Parameters):
     def absolute(self, relative_z: np.ndarray, object_z: np.ndarray) -> np.ndarray:
         """The measurement, (m,), that is ``relative_z``, (m,), in the object's frame."""
         return object_z + relative_z
+
+    def inverse(self, z: np.ndarray) -> np.ndarray:
+        """The camera's frame as seen from what it sees as z, (m,)."""
+        return -z
 
     # ---- rigid bodies ------------------------------------------------------------------------
 

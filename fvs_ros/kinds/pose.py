@@ -43,7 +43,7 @@ class Pose(Kind):
     columns = ("x", "y", "z", "qx", "qy", "qz", "qw")
     axes = ("x", "y", "z", "rx", "ry", "rz")
     outliers = 0.05  # its noise depends on the view
-    least_joints, flat = 6, False
+    least_joints = 6
     topics = kind_topics(
         "geometry_msgs/msg/PoseStamped",
         (
@@ -126,6 +126,11 @@ class Pose(Kind):
         position_m = object_z[:3] + camera_from_object @ relative_z[:3]
         return self.of_body(position_m, camera_from_object @ self.rotation(relative_z))
 
+    def inverse(self, z: np.ndarray) -> np.ndarray:
+        """The pose of the camera in the frame of what it sees at the pose z, (12,)."""
+        back = self.rotation(z).T
+        return self.of_body(-back @ z[:3], back)
+
     def moved_by(self, z: np.ndarray, angular: np.ndarray, linear_m: np.ndarray) -> np.ndarray:
         """Motions, m, (..., 6, n), of z by n twists of space."""
         linear = super().moved_by(z, angular, linear_m)
@@ -154,22 +159,21 @@ class Pose(Kind):
         """Poses with the true lens, (k, 12): exact in the distance of a tag that faces it."""
         return self.through_lens(z, -focal, -radial)
 
-    def _basis(self, z: np.ndarray | None) -> np.ndarray:
+    @property
+    def flat(self) -> bool:
+        """Never: a turn moves each axis in its own direction."""
+        return False
+
+    def _basis(self, z: np.ndarray | None) -> np.ndarray | None:
         """Orthonormal rows, (6, 12): the tangent vectors among those of the weighted numbers."""
+        if self.on_arm:
+            return super()._basis(z)
         assert z is not None
         basis = np.zeros((6, 12))
         basis[:3, :3] = np.eye(3)
         rotations = cross_matrix(z[3:].reshape(3, 3)) / 2.0**0.5
         basis[3:, 3:] = np.swapaxes(rotations, 0, 1).reshape(3, 9)
         return basis
-
-    def to_tangent(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:
-        """Tangent vectors, (6, ...), of motions of the weighted numbers, m, (12, ...), at z."""
-        return self._basis(z) @ motion_m
-
-    def from_tangent(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:
-        """Motions of the weighted numbers, (12, ...), of tangent vectors, m, (6, ...), at z."""
-        return self._basis(z).T @ motion_m
 
     def nearest(self, numbers: np.ndarray) -> np.ndarray:
         """The pose with the same origin and the rotation nearest to the axes, (12,)."""

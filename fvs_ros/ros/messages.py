@@ -148,13 +148,14 @@ def to_chain(chain: SerialChain) -> Float64MultiArray:
 
     A row for each joint: the direction of its axis, a point on it, m, the joint's reference
     position, rad (m), and 1 if it is prismatic. Then the rows of the feature, the first with the
-    two numbers of the lens, and zeros.
+    two numbers of the lens, and 1 from a camera on the arm; and zeros.
     """
     joints, carried = len(chain.axes), chain.feature_m.reshape(-1, 3)
     rows = np.zeros((joints + len(carried), _CHAIN_COLUMNS))
     joint = np.column_stack([chain.reference_rad, chain.prismatic])
     rows[:joints] = np.hstack([chain.axes, chain.points_m, joint])
     rows[joints:, :3], rows[joints, 3:5] = carried, chain.lens
+    rows[joints, 5] = chain.on_arm
     return _to_matrix(rows, "joint", "axis_point_reference")
 
 
@@ -165,8 +166,10 @@ def from_chain(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> S
     joint, carried = matrix[:joints], kind.nearest(matrix[joints:, :3].ravel())
     try:
         reference_rad, prismatic = joint[:, 6:].T
-        lens = matrix[joints, 3:5]
-        return SerialChain(joint[:, :3], joint[:, 3:6], carried, reference_rad, prismatic, lens)
+        lens, on_arm = matrix[joints, 3:5], bool(matrix[joints, 5])
+        return SerialChain(
+            joint[:, :3], joint[:, 3:6], carried, reference_rad, prismatic, lens, on_arm
+        )
     except ValueError as error:
         raise MessageError(f"kinematic_chain is no chain: {error}") from error
 

@@ -1,5 +1,7 @@
 """A serial chain: its derivative, another camera, and its refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cases import each
@@ -9,18 +11,19 @@ from fvs_ros import ros
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 
 
-def random_chain(seed=0, joints=6, features=3):
+def random_chain(seed=0, joints=6, features=3, on_arm=False):
     rng = np.random.default_rng(seed)
     lengths = {"n": joints, "m": features}
     shapes = ([lengths.get(side, side) for side in sides] for sides in CHAIN_SHAPES.values())
     *numbers, prismatic, lens = (rng.normal(size=shape) for shape in shapes)
-    return SerialChain(*numbers, prismatic > 0.5, 0.1 * lens)
+    return SerialChain(*numbers, prismatic > 0.5, 0.1 * lens, on_arm)
 
 
+@each("on_arm", [False, True])
 @each("features", [3, 12])
 @each("count", [1, 4, 6, 7])
-def test_the_jacobian_is_the_derivative_of_the_position(count, features):
-    chain = random_chain(count, count, features)
+def test_the_jacobian_is_the_derivative_of_the_position(count, features, on_arm):
+    chain = random_chain(count, count, features, on_arm)
     joints = np.random.default_rng(count).uniform(-3.0, 3.0, (20, count))
     step = 1e-6
     columns = [
@@ -45,11 +48,26 @@ def test_a_moved_camera_sees_the_same_arm_elsewhere():
     np.testing.assert_allclose(moved.jacobian(joints), columns.reshape(10, 6, 6), atol=1e-12)
 
 
-def test_a_chain_comes_back_from_its_message():
-    chain = random_chain()
+def test_a_camera_on_the_arm_sees_the_room_move_the_other_way():
+    ahead, joints = random_chain(features=12), np.random.default_rng(3).uniform(-3.0, 3.0, 6)
+    back = replace(ahead, on_arm=True)
+    # What rides on the arm is, in the room, where the room is, seen from it, the other way round.
+    there = np.insert(ahead.feature_m.reshape(4, 3), 3, [1.0, 0.0, 0.0, 0.0], axis=1)
+    np.testing.assert_allclose(
+        ahead.transform(joints) @ back.transform(joints), np.eye(4), atol=1e-9
+    )
+    seen = (there @ back.transform(joints))[:, :3].ravel()
+    np.testing.assert_allclose(back.position(joints), seen, atol=1e-12)
+    np.testing.assert_allclose(back.anchored(joints, seen).feature_m, back.feature_m, atol=1e-9)
+
+
+@each("on_arm", [False, True])
+def test_a_chain_comes_back_from_its_message(on_arm):
+    chain = random_chain(on_arm=on_arm)
     back = ros.from_chain(ros.to_chain(chain), 6)
     for name in CHAIN_SHAPES:
         np.testing.assert_allclose(getattr(back, name), getattr(chain, name), atol=1e-15)
+    assert back.on_arm == on_arm
 
 
 @each("name", CHAIN_SHAPES)
