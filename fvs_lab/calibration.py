@@ -72,18 +72,22 @@ def _row(scheme: str, zeros_deg: float, error: np.ndarray, **columns: Any) -> di
     return {**labels, "position_m": position_m, "angle_deg": float(np.degrees(angle_rad))}
 
 
-def by_motion(task: tuple[int, str, float]) -> list[dict[str, Any]]:
-    """Collect as the collector does for a time, s, and calibrate: a row for each size of zeros."""
-    seed, feature, duration_s = task
-    simulation = simulation_of(Conditions(feature=feature, position_noise_m=0.0))
-    config = CollectorConfig(
+def motion(seed: int, feature: str, duration_s: float = MOTION_S) -> CollectorConfig:
+    """How the collector moves the arm."""
+    return CollectorConfig(
         duration_s=duration_s,
         seed=seed,
         feature=feature,
         joint_range_rad=(0.5,) * len(HOME_RAD),
         max_joint_velocity_rad_s=0.65,
     )
-    data = collect(simulation, config)
+
+
+def by_motion(task: tuple[int, str, float]) -> list[dict[str, Any]]:
+    """Collect as the collector does for a time, s, and calibrate: a row for each size of zeros."""
+    seed, feature, duration_s = task
+    simulation = simulation_of(Conditions(feature=feature, position_noise_m=0.0))
+    data = collect(simulation, motion(seed, feature, duration_s))
     rows = []
     for size_deg in LIMITS:
         zeros = zeros_rad(seed, size_deg)

@@ -16,12 +16,11 @@ from fvs_controller_node.references import Reference
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.camera import PoeEstimator
 from fvs_estimator_node.chain_fit import fit_chain
-from fvs_estimator_node.collecting import CollectorConfig
 from fvs_lab import contestants as who
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.arms import collect
-from fvs_lab.calibration import TAUGHT, arm, zeros_rad
+from fvs_lab.calibration import TAUGHT, arm, motion, zeros_rad
 from fvs_lab.results import Results
 from fvs_lab.robustness import EVERYDAY
 from fvs_lab.trials import (
@@ -111,11 +110,6 @@ class View(Conditions):
         return np.asarray(KIND.through_lens(nearer[None], 0.0, self.radial)[0])
 
 
-def corners_m(tag: Tag) -> np.ndarray:
-    """The corners of all tags of a body, in its frame, m, (4 k, 3)."""
-    return np.concatenate([face.corners_m for face in tag.faces.values()])
-
-
 def _changed(config: C, names: Sequence[str], values: Sequence[Any]) -> C:
     return replace(config, **dict(zip(names, values, strict=True)))
 
@@ -137,7 +131,8 @@ def sees(
         assert tag is not None
         z = seen_from(camera, pose)
         rotation = KIND.rotation(z)
-        points_m = corners_m(tag) @ rotation.T + z[:3]
+        corners_m = np.concatenate([face.corners_m for face in tag.faces.values()])
+        points_m = corners_m @ rotation.T + z[:3]
         if -rotation[:, 2] @ z[:3] < 0.5 * np.linalg.norm(z[:3]) or points_m[:, 2].min() < 0.3:
             return False
         points_px = view.intrinsics.project(points_m)
@@ -282,8 +277,8 @@ class Task:
         looks = [self.prepare(*end, self.case.seed).look() for end in ends]
         return all(look.z is not None and look.object_z is not None for look in looks)
 
-    def taught(self, trial: Trial) -> Reference:
-        """What a controller keeps of the relation."""
+    def taught(self, trial: Trial) -> Reference | None:
+        """What a controller keeps of the relation; None if it refuses for three seconds."""
         scene = self.prepare(0, self.taught_rad, self.case.seed)
         loop = trial.loop(scene)
         loop.run(1.2)
@@ -291,7 +286,7 @@ class Task:
             with suppress(ValueError):  # noise may look like motion
                 return loop.loop.teach(loop.simulation.time_s)
             loop.run(0.2)
-        raise RuntimeError(f"{self.setting.name}: {self.case} cannot be taught")
+        return None
 
     @cached_property
     def calibrated(self) -> tuple[SerialChain, SerialChain]:
@@ -346,14 +341,7 @@ class Task:
 @lru_cache(maxsize=4)
 def trained_chain(view: View) -> SerialChain:
     """The chain that a minute of motion before this camera gives."""
-    config = CollectorConfig(
-        seed=1,
-        feature=Pose.name,
-        joint_range_rad=(0.5,) * len(HOME_RAD),
-        max_joint_velocity_rad_s=0.65,
-        duration_s=60.0,
-    )
-    return fit_chain(collect(simulation_of(view), config)).chain
+    return fit_chain(collect(simulation_of(view), motion(1, Pose.name))).chain
 
 
 def ours(name: str) -> Trial:
@@ -368,10 +356,18 @@ def by_chain(chain: SerialChain, learns: bool = False, **law: Any) -> Trial:
     )
 
 
+def failed(cause: str) -> dict[str, Any]:
+    """The columns of a run that did not begin."""
+    never = dict.fromkeys(("to_5mm_s", "rest_m", "rest_deg"), np.inf)
+    return {**never, "good": False, "failure": cause}
+
+
 def repeat(task: Task, trial: Trial, relative: bool = True) -> dict[str, Any]:
     """Repeat a taught relation, or go to where that is; the columns of the row."""
     case, moves, trial = task.case, task.setting.moves, replace(trial, case=task.case)
     taught = task.taught(trial) if relative else None
+    if relative and taught is None:
+        return failed("not taught")
     scene = task.prepare(1, case.start_rad, case.seed + 1)
     loop = trial.loop(scene)
     loop.run(SEEN_S)
@@ -407,10 +403,9 @@ def rest(task: Task, errors_m: np.ndarray) -> dict[str, Any]:
     object_z = seen_from(task.cameras[1], task.places[1])
     parts_m = errors_m.reshape(-1, 2, 3) @ KIND.rotation(object_z)
     rms_m = np.sqrt(np.mean(parts_m**2, axis=0))
-    rest_m, arc_m = np.linalg.norm(rms_m, axis=1).tolist()
-    rest_deg = float(np.degrees(arc_m / KIND.lever_arm_m))
-    about_axis_deg = float(np.degrees(rms_m[1, 2] / KIND.lever_arm_m))
-    turned_deg = {3: 0.0, 4: about_axis_deg, 6: rest_deg}
+    angles_deg = np.degrees(rms_m[1] / KIND.lever_arm_m)
+    rest_m, rest_deg = (float(np.linalg.norm(part)) for part in (rms_m[0], angles_deg))
+    turned_deg = {3: 0.0, 4: angles_deg[2], 6: rest_deg}
     pegs = {
         name: bool(
             rms_m[0].max() <= 1e-3 * mm and turned_deg[free] <= np.degrees(1e-3 * mm / PEG_M)
@@ -431,7 +426,7 @@ def look_then_move(task: Task) -> dict[str, Any]:
     relation = KIND.relative(before.position(np.array(task.taught_rad)), taught_object)
     joints = joints_at(after, KIND.absolute(relation, object_z), np.array(case.goal_rad))
     if joints is None:
-        return {"failure": "out of reach", "good": False, "rest_m": np.inf, "rest_deg": np.inf}
+        return failed("out of reach")
     scene = task.prepare(1, joints, case.seed)
     truth = KIND.absolute(task.relation, seen_from(task.cameras[1], task.places[1]))
     return rest(task, KIND.minus(scene.true_feature(), truth)[None])
