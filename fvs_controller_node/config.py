@@ -42,6 +42,11 @@ class ControllerConfig(CommandInterface):
         True,
         "Feed-forward for targets that are updated often; off, every target is fixed.",
     )
+    object_moves: bool = live_parameter(
+        False,
+        "Whether the object that a camera on the arm sees moves by itself and is followed; then "
+        "an image that does not follow the arm holds it only when there is no progress.",
+    )
 
 
 @dataclass(frozen=True)

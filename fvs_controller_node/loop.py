@@ -20,7 +20,7 @@ from fvs_controller_node.reasons import Finding, Reason, State
 from fvs_controller_node.references import Reference
 from fvs_controller_node.relation import OBJECT_FRAME, Lens, Relation, Teacher
 from fvs_controller_node.supervisor import Command, Present, Supervisor, checked
-from fvs_controller_node.target_motion import on_own_clock
+from fvs_controller_node.target_motion import TargetMotion, on_own_clock
 from fvs_ros.chain import SerialChain
 from fvs_ros.filter import Image
 from fvs_ros.following import LONGEST_LAG_S, Following
@@ -67,6 +67,8 @@ class ServoLoop:
         self._relation = Relation(self.kind, self.supervisor.goal, self._lens)
         self._teacher = Teacher(self.kind, self._lens)
         self._object_s: float | None = None  # stamp of the object's newest image
+        self._drift, self._drift_run = TargetMotion(self.kind), -1  # of what moves by itself
+        self._drift_m_s: np.ndarray | None = None  # its velocity now, (d,); None at rest
         self.configure(values)
         self._chain: SerialChain | None = None
         self._chain_s = -inf
@@ -86,6 +88,7 @@ class ServoLoop:
         own = ControllerConfig.from_values(values)
         self.supervisor.configure(SupervisorConfig.from_values(values))
         self.law, self._feeds_forward = law, own.target_feed_forward
+        self._object_moves = own.object_moves and self.kind.on_arm
         # What is learned is the lag of velocities; a position drive may take longer.
         self._least_lag_s = LONGEST_LAG_S if own.command_interface == POSITION else 0.0
         self._following.restart()  # a range may count for another length now
@@ -116,7 +119,8 @@ class ServoLoop:
             self._jacobian = self.kind.moved_by(*self._chain.motion(self._joints))
         # Images are judged one joint state later: no tick has all of an image's work.
         for image in self._unjudged:
-            self._agreement.add(image, self.track.filter.noise_m)
+            if not self._object_moves:  # else an image that stands may be that of a moving object
+                self._agreement.add(image, self.track.filter.noise_m)
         self._unjudged.clear()
         self._accept(self.track.add_joints(stamp_s, self._joints, self._jacobian))
 
@@ -141,8 +145,18 @@ class ServoLoop:
             self._unjudged += images
             for image in images:
                 self._teacher.tool.add(image.stamp_s, image.z)
+                if self._object_moves:
+                    self._add_drift(image)
             self._new_image = True
             self._note(Change.MEASUREMENT)
+
+    def _add_drift(self, image: Image) -> None:
+        """Take the part of the path that the joints do not explain."""
+        if image.run != self._drift_run:
+            self._drift.forget()
+        self._drift_run = image.run
+        age_s = self._stamp_s - image.stamp_s
+        self._drift.add_path(image.seen_m - image.moved_m, image.stamp_s, age_s)
 
     def add_object(self, now_s: float, stamp_s: float, z: np.ndarray) -> None:
         """Take an object's measurement in the camera's frame, (m,): arrival and exposure, s."""
@@ -311,7 +325,12 @@ class ServoLoop:
             self.supervisor.goal.move_on(self._stamp_s)
         if self._home is None:  # motion before this start must not count
             self._agreement.restart()
-        z = self.track.now()
+        drift_m, self._drift_m_s = None, None
+        if self._object_moves:
+            _, drift_m, self._drift_m_s = self._drift.at(self._stamp_s)
+        if self._drift_m_s is None or not self._drift_m_s.any():
+            drift_m = self._drift_m_s = None
+        z = self.track.now(drift_m)
         return Present(
             joints_rad=self._joints,
             z=z,
@@ -349,6 +368,8 @@ class ServoLoop:
         error_m = error_m + jacobian.dot(present.pending_rad)
         feed_forward = None
         velocity_m_s = goal.velocity_m_s
+        if self._drift_m_s is not None:  # as if the target moved the other way
+            velocity_m_s = (0.0 if velocity_m_s is None else velocity_m_s) - self._drift_m_s
         if self._feeds_forward and velocity_m_s is not None and velocity_m_s.any():
             error_m = error_m - self._drive_lag.lag_s * velocity_m_s
             feed_forward = self.law.inverse.joint_velocity(

@@ -108,15 +108,20 @@ class TargetMotion:
 
         A time of minus infinity sets a fixed target.
         """
-        step_m = np.zeros(self._kind.size)
-        if self.last is not None:
-            step_m = self._kind.minus(z, self.last)
+        path_m = self.path_m if self.last is None else self.path_m + self._kind.minus(z, self.last)
+        update = self.add_path(path_m, there_s, age_s)
+        if update is not Update.OVERTAKEN:
+            self.last = z
+        return update
+
+    def add_path(self, path_m: np.ndarray, there_s: float, age_s: float) -> Update:
+        """Take the place on the path, m, (d,), where that is known instead; else as ``add``."""
         last_s = self._updates[-1][0] if self._updates else -inf
         near = there_s > -inf and -_OWN_CLOCK_S < there_s - last_s < MAX_GAP_S
-        goes_on = near and length(step_m) < _JUMP_M
+        goes_on = near and length(path_m - self.path_m) < _JUMP_M
         if goes_on and there_s < last_s:
             return Update.OVERTAKEN
-        self.last, self.path_m = z, self.path_m + step_m
+        self.path_m = path_m
         if not goes_on:
             self._restart()
             self._updates.append((there_s, self.path_m))
@@ -174,9 +179,9 @@ class TargetMotion:
             velocity_m_s = velocity_m_s + 2.0 * bent_s * curve[2]
         if length(velocity_m_s) > _FASTEST_M_S:
             return stands
-        assert self.last is not None
-        gone_m = position_m - self.path_m
-        z = self._kind.retract(self.last, gone_m) if gone_m.any() else self.last
+        gone_m, z = position_m - self.path_m, self.last
+        if z is not None and gone_m.any():
+            z = self._kind.retract(z, gone_m)
         return z, position_m, velocity_m_s
 
 

@@ -99,7 +99,7 @@ class Estimator(ABC):
         """
 
     def observe(  # noqa: B027
-        self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float
+        self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float, stamp_s: float = 0.0
     ) -> None:
         """Take every image that is no outlier, also at rest, before the update.
 
@@ -111,6 +111,8 @@ class Estimator(ABC):
             The feature, camera frame.
         noise_m : float
             Standard deviation of a coordinate of it, as learned so far, m.
+        stamp_s : float
+            The exposure, s.
         """
 
     def update(self, step: MotionStep) -> None:  # noqa: B027

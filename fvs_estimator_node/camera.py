@@ -176,7 +176,9 @@ class PoeEstimator(_BehindCamera):
         """Estimate at joints, rad, (n,): m/rad, shape (d, n)."""
         return self._rotated(self.kind.moved_by(*self._fitted.motion(joints_rad)))
 
-    def observe(self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float) -> None:
+    def observe(
+        self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float, stamp_s: float = 0.0
+    ) -> None:
         """Learn the camera's pose from where the feature is."""
         model = self._fitted.position(joints_rad)
         directions = self.kind.directions(model), self.kind.directions(z)
@@ -205,7 +207,9 @@ class TurnedRbfEstimator(_BehindCamera):
         columns = self._rotated(self._model.jacobian(joints_rad))
         return columns if z is None else self.kind.to_tangent(z, columns)
 
-    def observe(self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float) -> None:
+    def observe(
+        self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float, stamp_s: float = 0.0
+    ) -> None:
         """Learn the camera's rotation from the motion of the position.
 
         Directions say nothing before the camera's rotation is known.

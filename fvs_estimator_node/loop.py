@@ -117,7 +117,8 @@ class EstimationLoop:
             return
         for image in images:
             step = self._step(image)
-            self.estimator.observe(image.joints_rad, image.z, self.track.filter.noise_m)
+            noise_m = self.track.filter.noise_m
+            self.estimator.observe(image.joints_rad, image.z, noise_m, image.stamp_s)
             if step is not None:
                 self.estimator.update(step)
                 self.steps += 1

@@ -150,7 +150,7 @@ class Case:
 class LastImage(Track):
     """Uses what the last image measured as its present value."""
 
-    def now(self) -> np.ndarray | None:
+    def now(self, drift_m: np.ndarray | None = None) -> np.ndarray | None:
         """Find the measurement of the last image, (m,)."""
         return None if super().now() is None or self.newest is None else self.newest.z
 

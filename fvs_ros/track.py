@@ -128,10 +128,11 @@ class Track:
             return f"no {name} has joint states around its exposure time yet"
         return ""
 
-    def now(self) -> np.ndarray | None:
+    def now(self, drift_m: np.ndarray | None = None) -> np.ndarray | None:
         """The measurement, predicted to the newest joint state, (m,).
 
-        None where there is nothing to predict from (see ``problem``).
+        ``drift_m``, (d,), is where what moves by itself is on its path, ``seen_m - moved_m``, m, if
+        that is known. None where there is nothing to predict from (see ``problem``).
         """
         newest_s, last = self.timeline.joints.newest_stamp_s, self.timeline.joints.newest
         image, accepted, x = self.newest, self._accepted, self.filter.x
@@ -139,5 +140,6 @@ class Track:
             return None
         if newest_s - image.stamp_s > MAX_LATENCY_S or self.problem:
             return None
-        x = x + last[-self.kind.size :] - self.filter.moved_m
+        x = x - self.filter.moved_m if drift_m is None else drift_m
+        x = x + last[-self.kind.size :]
         return self.kind.retract(accepted.z, x - accepted.seen_m)
