@@ -49,7 +49,7 @@ class DetectorNode(ros.FvsNode):
         super().__init__("fvs_detector_node", PARAMETERS)
         cv2.setNumThreads(1)  # threads have no benefit for one small image at a time
         self._config = DetectorConfig.from_values(self.values)
-        self._kind = KINDS[self._config.feature]()
+        self._kind = KINDS[self._config.feature](camera_mount=self._config.camera_mount)
         self._detector = make_detector(self._config)
         self._outputs = {self._detector: self.publisher(self._kind.feature)}
         object_detector = make_object_detector(self._config)

@@ -8,6 +8,8 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from fvs_ros.kinds import MountConfig
+from fvs_ros.kinds.kind import ON_ARM
 from fvs_ros.params import Parameters, parameter
 from fvs_ros.rotations import rotation_from_vector
 
@@ -100,8 +102,8 @@ class Tag(Parameters):
 
 
 @dataclass(frozen=True)
-class TagsConfig(Parameters):
-    """The tags of the tool, and those of the object beside it."""
+class TagsConfig(MountConfig):
+    """The tags of what is servoed, and those of the object that the tool may be seen from."""
 
     tag: Tag = field(default_factory=Tag)
     object_tag_id: int = parameter(
@@ -116,6 +118,13 @@ class TagsConfig(Parameters):
     object_tag_layout: str = parameter(
         "plate", "like tag_layout, of the object", choices=tuple(LAYOUTS)
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.object_tag_id >= 0 and self.camera_mount == ON_ARM:
+            raise ValueError(
+                "object_tag_id is for a fixed camera; one on the arm servos the object: tag_id"
+            )
 
     @property
     def object_tag(self) -> Tag | None:

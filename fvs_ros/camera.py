@@ -90,6 +90,11 @@ class Intrinsics:
             axis=-1,
         )
 
+    def contains(self, points_px: np.ndarray) -> bool:
+        """Whether points, pixels, (..., 2), are all in the image."""
+        size = self.width, self.height
+        return bool(np.all((points_px >= 0.0) & (points_px < size)))
+
     def rays(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Viewing rays with z = 1 through pixels.
 

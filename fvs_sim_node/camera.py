@@ -35,6 +35,11 @@ class RigidPose:
         """The same moved by a vector of the parent frame, m, shape (3,)."""
         return RigidPose(self.position_m + translation_m, self.rotation)
 
+    def pose_from_own(self, body: RigidPose) -> RigidPose:
+        """A body's pose, from its own frame into the parent's."""
+        position_m = self.rotation @ body.position_m + self.position_m
+        return RigidPose(position_m, self.rotation @ body.rotation)
+
     def to_own(self, points_m: np.ndarray) -> np.ndarray:
         """Points, shape (..., 3), m, from the parent frame into its own."""
         return (np.asarray(points_m) - self.position_m) @ self.rotation
@@ -51,6 +56,9 @@ CAMERAS = {
     "front": RigidPose.looking((1.3, -1.0, 0.85), (0.47, 0.1, 0.33)),
     "overhead": RigidPose.looking((1.2, -0.4, 1.8), (0.47, 0.1, 0.33)),
 }
+#: A camera on the arm, in the frame of its last link: beside the flange, where a RealSense fits, it
+#: looks along the tool, whose axis is in mid-image a quarter of a metre away.
+BRACKET = RigidPose(np.array([0.0, -0.07, 0.02]), np.eye(3)).rotated(np.radians([-15.0, 0.0, 0.0]))
 
 
 @dataclass(frozen=True)
@@ -70,6 +78,9 @@ class StereoNoise:
     edge_dropout: float = 0.5
     #: Least range of the depths in 3 x 3 pixels at an edge, m.
     edge_m: float = 0.05
+    #: Least depths at which its colours are sharp, and that it measures, m.
+    near_m: float = 0.1
+    least_m: float = 0.17
 
 
 D435 = StereoNoise()
@@ -107,6 +118,6 @@ def add_depth_noise(
     chance = rng.random(depth.shape, dtype=np.float32)
     lost |= chance < np.float32(scale * D435.dropout)
     lost |= edge & (chance < np.float32(scale * D435.edge_dropout))
-    lost |= depth < 0.0
+    lost |= depth < D435.least_m
     depth[lost] = 0.0
     return depth

@@ -1,4 +1,4 @@
-"""What the arm carries, and the object, as the camera sees them.
+"""What the arm carries, and what stands in the room, as the camera sees them.
 
 A new kind of feature adds a class and a line.
 """
@@ -14,7 +14,7 @@ from fvs_detector_node.images import Region
 from fvs_detector_node.tag_corners import TagReader
 from fvs_detector_node.tags import SQUARE
 from fvs_ros.camera import Intrinsics
-from fvs_sim_node.camera import RigidPose
+from fvs_sim_node.camera import D435, RigidPose
 from fvs_sim_node.config import BALL_RGBA, SimConfig
 from fvs_sim_node.shapes import BulletClient, box, sphere
 
@@ -36,13 +36,16 @@ class Print:
     noise: float = 2.0
     #: A print is in view where the depth is within this of its plane's, m.
     near_m: float = 0.006
+    #: It is read from 2 pixels a cell on, and to 75 degrees from squarely.
+    least_px: float = 2.0
+    least_cosine: float = 0.26
 
 
 PRINT = Print()
 
 
 class Carried:
-    """A body at the end of the arm; its pose is that of its frame in the camera's."""
+    """A body on the arm or in the room; its pose is that of its frame in the camera's."""
 
     #: Depth behind its front by which it is further out on the arm, m.
     depth_m = 0.0
@@ -60,6 +63,10 @@ class Carried:
 
     def part(self, pose: RigidPose, camera: Intrinsics) -> Region | None:
         """The part of the image that shows it; None if it is out of view."""
+        raise NotImplementedError
+
+    def legible(self, pose: RigidPose, camera: Intrinsics) -> bool:
+        """Whether it can be measured from so near and at such an angle."""
         raise NotImplementedError
 
     def paint(
@@ -90,6 +97,11 @@ class CarriedBall(Carried):
             return None
         middle_px, radius_px = camera.project(pose.position_m), camera.fx * radius_m / z
         return _in_view(np.array([middle_px - radius_px, middle_px + radius_px]), camera)
+
+    def legible(self, pose: RigidPose, camera: Intrinsics) -> bool:
+        """Its middle is in the image, and its front where there are depths."""
+        near = pose.position_m[2] - self._config.ball_radius_m < D435.least_m
+        return not near and camera.contains(camera.project(pose.position_m))
 
 
 class CarriedTag(Carried):
@@ -134,6 +146,22 @@ class CarriedTag(Carried):
         if corners_m[:, 2].min() < 0.05 or not self._tag.facing(pose.rotation, pose.position_m):
             return None
         return _in_view(camera.project(corners_m), camera)
+
+    def legible(self, pose: RigidPose, camera: Intrinsics) -> bool:
+        """The whole of one of its tags is in the image, large and square enough."""
+        tag = self._tag
+        for face in (tag.faces[number] for number in tag.facing(pose.rotation, pose.position_m)):
+            corners_m = face.corners_m @ pose.rotation.T + pose.position_m
+            middle_m, normal = corners_m.mean(axis=0), (pose.rotation @ face.rotation)[:, 2]
+            if corners_m[:, 2].min() < D435.near_m or -normal @ middle_m < (
+                PRINT.least_cosine * np.linalg.norm(middle_m)
+            ):
+                continue
+            corners_px = camera.project(corners_m)
+            area_px = cv2.contourArea(corners_px.astype(np.float32))
+            if camera.contains(corners_px) and area_px > (PRINT.least_px * tag.cells) ** 2:
+                return True
+        return False
 
     def paint(
         self,

@@ -41,7 +41,9 @@ class SimConfig(TagsConfig, CommandInterface):
     robot: str = parameter("ur5", "which known robot", choices=tuple(ROBOTS))
     urdf_path: str = parameter("", "URDF of any other robot")
     ball_link: str = parameter(
-        "", "link that carries the ball; empty: the known robot's, else tool0, else the last link"
+        "",
+        "link that carries the ball, or the camera; empty: the known robot's, else tool0, else the "
+        "last link",
     )
     initial_joints_rad: tuple[float, ...] = parameter(
         (),
@@ -50,19 +52,21 @@ class SimConfig(TagsConfig, CommandInterface):
         6.3,
     )
     feature: str = parameter(
-        KindConfig.feature, "what the arm carries: a ball, or a tag (pose)", choices=BODIES
+        KindConfig.feature, "what is servoed: a ball, or a tag (pose)", choices=BODIES
     )
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
     object_position_m: tuple[float, ...] = live_parameter(
         (0.45, -0.1, 0.05),
-        "middle of the object's tags, world frame; it jumps there",
+        "middle of the object's tags, world frame, or of what a camera on the arm sees, by default "
+        "in front of it; it jumps there",
         -5.0,
         5.0,
         size=3,
     )
     object_rotation_deg: tuple[float, ...] = live_parameter(
         (75.0, 40.0, 30.0),
-        "rotation vector of the object, world frame; zeros: it lies on its back",
+        "rotation vector of the object, world frame; zeros: it lies on its back; by default it "
+        "faces a camera on the arm, but for 25 degrees",
         -180.0,
         180.0,
         size=3,
@@ -76,7 +80,7 @@ class SimConfig(TagsConfig, CommandInterface):
     joint_state_rate_hz: float = parameter(
         125.0, "joint states per second (500 on an e-series)", 10.0, 1000.0
     )
-    camera: str = parameter("front", "named pose of the camera", choices=tuple(CAMERAS))
+    camera: str = parameter("front", "named pose of a fixed camera", choices=tuple(CAMERAS))
     image_rate_hz: float = parameter(30.0, "images per second", 1.0, 120.0)
     image_width: int = parameter(640, "image width, pixels", 64, 1920)
     image_height: int = parameter(480, "image height, pixels", 48, 1080)
@@ -112,11 +116,15 @@ class SimConfig(TagsConfig, CommandInterface):
     speed_scaling_percent: float = live_parameter(100.0, "the driver's speed slider", 0.0, 100.0)
     #: Centre of ball or tag beyond the flange.
     ball_offset_m: float = 0.09
+    #: How far an object is by default from a camera on the arm at home, and the rotation vector,
+    #: rad, by which it does not face it.
+    ahead_m: float = 0.35
+    aslant_rad: tuple[float, float, float] = (0.31, 0.31, 0.0)
     #: Exposure of an image, in which a tag is blurred by its motion.
     exposure_s: float = 0.005
     #: A whole multiple of ``joint_state_rate_hz``; 0 takes the least one from 500 on.
     physics_rate_hz: float = 0.0
-    #: Camera pose in place of a named one.
+    #: Camera pose in place of a named one, or, in the last link's frame, of that on the arm.
     camera_pose: RigidPose | None = None
     #: Whether ball positions come from rendered images. Otherwise they are the true ones (plus
     #: ``position_noise_m``): several times faster, without occlusion and without full frames. With

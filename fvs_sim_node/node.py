@@ -36,12 +36,16 @@ _ANSWERS = {
     topics.COMMANDS.name: 0.0,
     topics.POSITION_COMMANDS.name: 0.0,
     topics.JACOBIAN.name: 0.1,
-    **{kind.topics.tool.name: 0.15 for kind in KINDS.values()},
+    **{
+        topic.name: 0.15
+        for kind in KINDS.values()
+        for topic in (kind.topics.tool, kind.topics.object)
+    },
 }
 
 
 class SimNode(ros.FvsNode):
-    """Publishes joint states and positions of ball or tag, obeys joint velocity commands."""
+    """Publishes joint states and what is servoed, obeys joint velocity commands."""
 
     keeps_subscriptions = True
 
@@ -62,10 +66,10 @@ class SimNode(ros.FvsNode):
         self._paused_active: bool | None = None  # was the controller, when the pause began?
         self._joint_states = self.publisher(topics.JOINT_STATES)
         self._kind = self._sim.kind
-        self._truth = self.publisher(self._kind.topics.truth)
+        self._truth = self.publisher(self._kind.truth)
         if config.publish_ball_position:
-            self._feature = self.publisher(self._kind.topics.tool)
-        if self._sim.world.object is not None:
+            self._feature = self.publisher(self._kind.feature)
+        if config.simulation.object_tag is not None:
             self._object_truth = self.publisher(self._kind.topics.object_truth)
             if config.publish_ball_position:
                 self._object = self.publisher(self._kind.topics.object)
@@ -102,7 +106,7 @@ class SimNode(ros.FvsNode):
             self._clock_topic = self.publisher(topics.CLOCK)
             answers = [topics.JACOBIAN]
             if not config.publish_ball_position:  # a detector does
-                answers.append(self._kind.topics.tool)
+                answers.append(self._kind.feature)
             for topic in answers:
                 self.subscribe(topic, partial(self._answer, topic.name), ros.QOS_RELIABLE)
             self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
@@ -265,7 +269,7 @@ class SimNode(ros.FvsNode):
         if changed & {"object_position_m", "object_rotation_deg"}:
             self._sim.place_object()
         if "camera_rotation_deg" in changed:
-            frame, camera = config.tf_prefix + self._sim.world.root_link, self._sim.camera
+            frame, camera = config.tf_prefix + self._sim.world.camera_link, self._sim.mounted
             z = Pose().of_body(camera.position_m, camera.rotation)
             pose = ros.to_feature(self.ros_s(), frame, Pose(), z)
             self._camera_pose.publish(pose)

@@ -25,7 +25,7 @@ from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.camera import RigidPose
 from fvs_sim_node.carried import Carried
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.world import World, placed_object
+from fvs_sim_node.world import World
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ class Observation:
     """The result of one image; its true values are for evaluation only."""
 
     stamp_s: float  # exposure
-    z: np.ndarray | None  # what is reported of ball or tag, with noise, (m,); None if not seen
-    visible_fraction: float  # of ball or tag
+    z: np.ndarray | None  # what is reported of what is servoed, with noise, (m,); None if not seen
+    visible_fraction: float  # of it
     true_position_m: np.ndarray  # of its middle, camera frame, (3,)
     joints_rad: np.ndarray  # at the exposure, (n,)
     velocities_rad_s: np.ndarray  # of the joints then, (n,)
-    camera: RigidPose
+    camera: RigidPose  # world frame
     object_z: np.ndarray | None  # as z, of the object
     object_pose: RigidPose  # the true one, world frame
     frame: tuple[np.ndarray, np.ndarray] | None = None  # colours and depths, if they are wanted
@@ -55,7 +55,7 @@ class SimStep:
 
 
 class Simulation:
-    """An arm with a ball on its end, seen by a depth camera.
+    """An arm with a ball on its end, seen by a depth camera; or with the camera on its end.
 
     Parameters
     ----------
@@ -69,18 +69,18 @@ class Simulation:
         place of the white noise of the configuration.
     full_frames : bool
         Whether observations include full images; slower.
-    camera : RigidPose
-        Where the camera is now.
+    mounted : RigidPose
+        The camera's pose in the room, or in the frame of the arm's last link.
     active : bool
         Whether the velocity controller takes commands.
     kind : Kind
-        Of what the arm carries.
+        Of what is servoed.
     """
 
     def __init__(self, config: SimConfig | None = None) -> None:
         cv2.setNumThreads(1)  # one small image at a time: threads only cost
         config = config or SimConfig()
-        self.kind = KINDS[config.feature]()
+        self.kind = KINDS[config.feature](camera_mount=config.camera_mount)
         self.intrinsics = config.intrinsics
         self.world = World(config)
         self._actuator = Actuator(
@@ -105,8 +105,17 @@ class Simulation:
         configuration.
         """
         self.config = self._actuator.config = config
-        home = config.camera_pose or self.world.camera(config.camera)
-        self.camera = home.rotated(np.radians(config.camera_rotation_deg))
+        home = self.world.camera_home(config)
+        self.mounted = home.rotated(np.radians(config.camera_rotation_deg))
+
+    @property
+    def camera(self) -> RigidPose:
+        """Where the camera is now, world frame; it may be set."""
+        return self.world.link().pose_from_own(self.mounted) if self.kind.on_arm else self.mounted
+
+    @camera.setter
+    def camera(self, pose: RigidPose) -> None:
+        self.mounted = self.world.link().pose_to_own(pose) if self.kind.on_arm else pose
 
     def close(self) -> None:
         """Free the physics engine."""
@@ -134,7 +143,7 @@ class Simulation:
     ) -> None:
         """Start again at time 0 with the seed's noise, at rest, the object in its place.
 
-        The camera stays where it is.
+        The camera stays where it is mounted.
 
         Parameters
         ----------
@@ -144,12 +153,7 @@ class Simulation:
             Seed of this run's noise and lost images; default that of the configuration.
         """
         config = self.config
-        if joints_rad is None:
-            joints_rad = config.initial_joints_rad or self.world.home_rad
-        joints = np.array(joints_rad, dtype=float)
-        if joints.shape != self.world.lower_rad.shape or not np.isfinite(joints).all():
-            count = len(self.world.lower_rad)
-            raise ValueError(f"the arm needs {count} finite joint angles, got {joints.tolist()}")
+        joints = self.world.start_rad(config, joints_rad)
         seeds = np.random.SeedSequence(config.seed if seed is None else seed).spawn(5)
         self._noise_rng, self._loss_rng, self._encoder_rng, self._frame_rng, self._object_rng = map(
             np.random.default_rng, seeds
@@ -171,7 +175,7 @@ class Simulation:
 
     def place_object(self) -> None:
         """Put the object where the configuration has it."""
-        self.world.object_pose = placed_object(self.config)
+        self.world.object_pose = self.world.placed_object(self.config)
 
     def command(self, values: Sequence[float] | np.ndarray) -> str | None:
         """Command the joints, as ``forward_velocity_controller`` takes it.
@@ -268,7 +272,7 @@ class Simulation:
             self.world.place_bodies()
         world, object_z = self.world, None
         z, visible_fraction = self._measured(
-            world.carried, self.true_pose(), self._detector, self._noise_rng
+            world.body, self.true_pose(), self._detector, self._noise_rng
         )
         if world.object is not None and self._object_detector is not None:
             pose = self.camera.pose_to_own(world.object_pose)
@@ -302,8 +306,8 @@ class Simulation:
         if part is None:
             return None, 0.0
         if not self.config.rendered:
-            u, v = camera.project(true.position_m)
-            if not (0.0 <= u < camera.width and 0.0 <= v < camera.height):
+            in_view = camera.contains(camera.project(true.position_m))
+            if not in_view or (self.kind.on_arm and not body.legible(true, camera)):
                 return None, 0.0
             z, fraction = self.as_seen(self.kind.of_body(true.position_m, true.rotation)), 1.0
         else:
@@ -347,8 +351,8 @@ class Simulation:
         return self.kind.without_lens(scaled[None], self.config.focal_error, 0.0)[0]
 
     def true_pose(self) -> RigidPose:
-        """Ball or tag as the camera sees it now. For evaluation only."""
-        return self.world.carried_pose(self.camera)
+        """What is servoed as the camera sees it now. For evaluation only."""
+        return self.camera.pose_to_own(self.world.feature_pose())
 
     def true_feature(self) -> np.ndarray:
         """The feature as the camera sees it now, (m,). For evaluation only."""
@@ -356,8 +360,8 @@ class Simulation:
         return self.kind.of_body(pose.position_m, pose.rotation)
 
     def true_object(self) -> np.ndarray | None:
-        """The object's feature as the camera sees it now, (m,). For evaluation only."""
-        if self.world.object is None:
+        """The object's feature beside the tool's as the camera sees it now. For evaluation only."""
+        if self._object_detector is None:
             return None
         pose = self.camera.pose_to_own(self.world.object_pose)
         return self.kind.of_body(pose.position_m, pose.rotation)
@@ -379,7 +383,13 @@ class Simulation:
         return kind.moved_by(*motion)
 
     def true_chain(self, kind: Kind | None = None) -> SerialChain:
-        """The arm as the camera sees it now, with ball or tag. For evaluation only."""
-        back = self.camera.rotation.T
-        chain = self.world.chain_with(kind or self.kind)
-        return chain.moved(back, -back @ self.camera.position_m)
+        """The arm as the camera sees it now, with what is servoed. For evaluation only."""
+        kind, camera = kind or self.kind, self.mounted
+        chain = self.world.chain_with(kind)
+        if self.kind.on_arm:
+            pose = self.world.object_pose
+            seen = kind.of_body(pose.position_m, pose.rotation)
+            chain = replace(chain, feature_m=seen, on_arm=True)
+            camera = self.world.zero_link.pose_from_own(camera)
+        back = camera.rotation.T
+        return chain.moved(back, -back @ camera.position_m)

@@ -1,12 +1,12 @@
-"""The PyBullet world: the arm, its ball or tag, an object with tags, others, and the renderer.
+"""The PyBullet world: the arm, what it carries, what stands in the room, and the renderer.
 
-Every world is its own client, so that one process can
-hold several.
+Every world is its own client, so that one process can hold several.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from tempfile import NamedTemporaryFile
@@ -20,29 +20,32 @@ from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.kind import ON_ARM
 from fvs_ros.rotations import quaternion_from_rotation, rotation_from_vector
 from fvs_ros.urdf import UrdfJoint
-from fvs_sim_node.camera import RigidPose, add_depth_noise
+from fvs_sim_node.camera import BRACKET, D435, RigidPose, add_depth_noise
 from fvs_sim_node.carried import CARRIED, Carried, CarriedTag, exposed
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.placement import Placement
 from fvs_sim_node.robot import moving_joints, robot_description, robot_of
 from fvs_sim_node.shapes import BulletClient, box, pybullet, sphere
 
-#: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
+#: Depth range that is drawn, m; for a camera on the arm, from nearer on. What lies beyond has no
+#: depth, as with a real camera.
 _NEAR_M, _FAR_M = 0.25, 4.0
 # OpenGL cameras look along -z with y up.
 _OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0])
 
 
 class World:
-    """An arm with driven joints and a ball on its end.
+    """An arm with driven joints and a ball or a camera on its end.
 
-    The world frame is that of the URDF's root link, ``root_link``. Gravity is off, since an arm's
-    controller compensates it. ``client`` has PyBullet's functions for this world; ``joint_names``
-    are the moving joints from the root to the ball's link, with their limits, shape (n,).
-    ``object`` is the one with tags, if there is one, at ``object_pose``, world frame, which may be
-    set.
+    The world frame is that of the URDF's root link. Gravity is off, since an arm's controller
+    compensates it. ``client`` has PyBullet's functions for this world; ``joint_names`` are the
+    moving joints from the root to the last link, with their limits, shape (n,). ``body`` is
+    servoed, and hangs on the arm unless the camera does; ``object``, if there is one, stands in the
+    room at ``object_pose``, world frame, which may be set. The camera is mounted in the frame of
+    ``camera_link``.
 
     A ``ValueError`` says that the URDF cannot be loaded, or lacks the link or joints that move it.
     """
@@ -60,7 +63,9 @@ class World:
         self._get_states = self.client.getJointStates
         self.step = self.client.stepSimulation
         self._offset_m, self._ball_radius_m = config.ball_offset_m, config.ball_radius_m
-        self.renderer = Renderer(self.client, config.intrinsics)
+        self._on_arm = config.camera_mount == ON_ARM
+        near_m = D435.near_m if self._on_arm else _NEAR_M
+        self.renderer = Renderer(self.client, config.intrinsics, near_m)
         try:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
             self.client.setGravity(0.0, 0.0, 0.0)
@@ -68,7 +73,8 @@ class World:
             self._cameras = dict(self._known.cameras)
             link, joints = moving_joints(self._known)
             self._robot = self._load_robot()
-            self.root_link = self.client.getBodyInfo(self._robot)[0].decode()
+            root_link = self.client.getBodyInfo(self._robot)[0].decode()
+            self.camera_link = link if self._on_arm else root_link
             self._find_joints(joints, link)
             self._prepare_links()
             for item in config.objects:
@@ -78,20 +84,22 @@ class World:
                     else box(self.client, 0.5 * np.array(item.size_m), item.rgba),
                     item.position_m,
                 )
-            self.carried = CARRIED[config.feature](config)
-            self._offset_m += self.carried.depth_m
-            self._carried_body = self._body(self.carried.shape(self.client))
-            self._rod = self._add_rod()
-            self.object: Carried | None = None
-            self.object_pose = placed_object(config)
+            self.body = CARRIED[config.feature](config)
+            self._offset_m += self.body.depth_m
+            self.object: Carried | None = self.body if self._on_arm else None
             if config.object_tag is not None:
                 self.object = CarriedTag(replace(config, tag=config.object_tag))
-                self._object_body = self._body(self.object.shape(self.client))
             self.reset(np.zeros(len(self._joints)))
-            self._zero_position_m, self._zero_link = self.carried_position(), self._link_rotation()
+            self._zero_position_m, self.zero_link = self.carried_position(), self.link()
             self._mount = np.eye(3)
-            if self.carried.tilt_rad is not None:
-                self._mount = self._facing(config) @ cv2.Rodrigues(self.carried.tilt_rad)[0]
+            if not self._on_arm:
+                self._carried_body = self._body(self.body.shape(self.client))
+                self._rod = self._add_rod()
+                if self.body.tilt_rad is not None:
+                    self._mount = self._facing(config) @ cv2.Rodrigues(self.body.tilt_rad)[0]
+            if self.object is not None:
+                self._object_body = self._body(self.object.shape(self.client))
+            self.object_pose = self.placed_object(config)
             self.place_bodies()
         except BaseException:
             self.close()
@@ -157,15 +165,14 @@ class World:
 
     def _facing(self, config: SimConfig) -> np.ndarray:
         """The rotation in its link of a body whose z axis points to the camera at home."""
-        home_rad = np.array(config.initial_joints_rad or self.home_rad)
-        camera = config.camera_pose or self.camera(config.camera)
-        self.reset(home_rad)
+        camera = self.camera_home(config)
+        self.reset(self.start_rad(config))
         out = camera.position_m - self.carried_position()
         out /= np.linalg.norm(out)
         right = np.cross((0.0, 0.0, 1.0) if abs(out[2]) < 0.99 else (1.0, 0.0, 0.0), out)
         right /= np.linalg.norm(right)
         facing = np.stack([right, np.cross(out, right), out], axis=1)
-        return self._link_rotation().T @ facing
+        return self.link().rotation.T @ facing
 
     def _add_rod(self) -> int:
         shape = self.client.createVisualShape(
@@ -204,22 +211,25 @@ class World:
         states = self._get_states(self._robot, self._joints)
         return np.array([s[0] for s in states]), np.array([s[1] for s in states])
 
-    # -------------------------------------------------------------------- ball
+    # ------------------------------------------------------------- ball or tag
     def _link_state(self) -> tuple:
         return self.client.getLinkState(self._robot, self._link, computeForwardKinematics=True)
 
-    def _link_rotation(self) -> np.ndarray:
-        return _matrix(self._link_state()[5])
+    def link(self) -> RigidPose:
+        """The last link's pose, world frame."""
+        state = self._link_state()
+        return RigidPose(np.array(state[4]), _matrix(state[5]))
 
     def carried_position(self) -> np.ndarray:
-        """Centre of the ball or tag, world frame, m, shape (3,)."""
-        state = self._link_state()
-        return np.array(state[4]) + self._offset_m * _matrix(state[5])[:, 2]
+        """Centre of the ball or tag on the arm, world frame, m, shape (3,)."""
+        link = self.link()
+        return link.position_m + self._offset_m * link.rotation[:, 2]
 
-    def carried_pose(self, camera: RigidPose) -> RigidPose:
-        """Ball or tag as a camera sees it; the tag's x to the right of the print, z out of it."""
-        rotation = self._link_rotation() @ self._mount
-        return camera.pose_to_own(RigidPose(self.carried_position(), rotation))
+    def feature_pose(self) -> RigidPose:
+        """What is servoed, world frame; a tag's x to the right of the print, z out of it."""
+        if self._on_arm:
+            return self.object_pose
+        return RigidPose(self.carried_position(), self.link().rotation @ self._mount)
 
     def photograph(
         self,
@@ -240,17 +250,22 @@ class World:
             return np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
         rgb, depth_m = self.renderer.render(camera, region)
         jacobians = self._jacobians(self.joint_states()[0])
-        linear, angular = (
-            camera.rotation.T @ (jacobian @ velocities_rad_s) for jacobian in jacobians
-        )
-        poses = exposed(self.carried_pose(camera), linear, angular, config.exposure_s)
-        self.carried.paint(rgb, depth_m, view, poses, rng)
+        arm_m_s, arm_rad_s = (jacobian @ velocities_rad_s for jacobian in jacobians)
+        if not self._on_arm:
+            linear, angular = camera.rotation.T @ arm_m_s, camera.rotation.T @ arm_rad_s
+            pose = camera.pose_to_own(self.feature_pose())
+            poses = exposed(pose, linear, angular, config.exposure_s)
+            self.body.paint(rgb, depth_m, view, poses, rng)
         if self.object is not None:
-            linear = np.array(config.object_velocity_m_s) @ camera.rotation
-            angular = np.radians(config.object_turn_rate_deg_s) * camera.rotation[2]
-            poses = exposed(
-                camera.pose_to_own(self.object_pose), linear, angular, config.exposure_s
-            )
+            linear = np.array(config.object_velocity_m_s)
+            angular = np.array([0.0, 0.0, np.radians(config.object_turn_rate_deg_s)])
+            if self._on_arm:
+                beside_m = self.object_pose.position_m - self.carried_position()
+                linear -= arm_m_s + np.cross(arm_rad_s, beside_m)
+                angular -= arm_rad_s
+            pose = camera.pose_to_own(self.object_pose)
+            linear, angular = linear @ camera.rotation, angular @ camera.rotation
+            poses = exposed(pose, linear, angular, config.exposure_s)
             self.object.paint(rgb, depth_m, view, poses, rng)
         depth_m = add_depth_noise(depth_m, intrinsics.fx, rng, config.depth_noise)
         return rgb, depth_m * np.float32(1.0 + config.depth_error)
@@ -275,7 +290,7 @@ class World:
 
     def chain_with(self, kind: Kind) -> SerialChain:
         """The same with what is measured of ball or tag."""
-        carried = kind.of_body(self._zero_position_m, self._zero_link @ self._mount)
+        carried = kind.of_body(self._zero_position_m, self.zero_link.rotation @ self._mount)
         zeros = np.zeros(len(self._joints))
         linear, axes = (jacobian.T for jacobian in self._jacobians(zeros))
         points_m = self._zero_position_m + np.cross(axes, linear)
@@ -292,6 +307,37 @@ class World:
         """The joints to begin with, rad, shape (n,)."""
         known = self._known.home_rad
         return np.array(known) if known else self._placement.home()
+
+    def start_rad(
+        self, config: SimConfig, joints_rad: Sequence[float] | np.ndarray | None = None
+    ) -> np.ndarray:
+        """The joints to begin with, rad, (n,): those that are given, or the configuration's."""
+        if joints_rad is None:
+            joints_rad = config.initial_joints_rad or self.home_rad
+        joints = np.array(joints_rad, dtype=float)
+        if joints.shape != self.lower_rad.shape or not np.isfinite(joints).all():
+            count = len(self.lower_rad)
+            raise ValueError(f"the arm needs {count} finite joint angles, got {joints.tolist()}")
+        return joints
+
+    def camera_home(self, config: SimConfig) -> RigidPose:
+        """The pose in ``camera_link`` of a camera that nobody has bumped."""
+        return config.camera_pose or (BRACKET if self._on_arm else self.camera(config.camera))
+
+    def placed_object(self, config: SimConfig) -> RigidPose:
+        """Where the parameters put the object, world frame."""
+        position_m = np.array(config.object_position_m)
+        rotation = rotation_from_vector(np.radians(config.object_rotation_deg))
+        if self._on_arm:  # by default in front of the camera at home
+            motion = self.chain.transform(self.start_rad(config)).T
+            link = RigidPose(motion[:3, 3], motion[:3, :3]).pose_from_own(self.zero_link)
+            camera = link.pose_from_own(self.camera_home(config))
+            if config.object_position_m == SimConfig.object_position_m:
+                position_m = camera.position_m + config.ahead_m * camera.rotation[:, 2]
+            if config.object_rotation_deg == SimConfig.object_rotation_deg:
+                aslant = rotation_from_vector(np.array(config.aslant_rad))
+                rotation = camera.rotation @ _OPTICAL_TO_GL @ aslant
+        return RigidPose(position_m, rotation)
 
     def camera(self, name: str) -> RigidPose:
         """A named camera's pose."""
@@ -329,25 +375,17 @@ class World:
 
     def place_bodies(self) -> None:
         """Move ball or tag, its rod, and the object to their present poses; before rendering."""
-        state = self._link_state()
-        rotation = self._link_rotation() @ self._mount
-        foot = np.array(state[4]) - self.carried.rod_gap_m * rotation[:, 2]
-        self.client.resetBasePositionAndOrientation(self._rod, foot, state[5])
-        self.client.resetBasePositionAndOrientation(
-            self._carried_body, self.carried_position(), quaternion_from_rotation(rotation)
-        )
+        if not self._on_arm:
+            state, pose = self._link_state(), self.feature_pose()
+            foot = np.array(state[4]) - self.body.rod_gap_m * pose.rotation[:, 2]
+            self.client.resetBasePositionAndOrientation(self._rod, foot, state[5])
+            self._put(self._carried_body, pose)
         if self.object is not None:
-            self.client.resetBasePositionAndOrientation(
-                self._object_body,
-                self.object_pose.position_m,
-                quaternion_from_rotation(self.object_pose.rotation),
-            )
+            self._put(self._object_body, self.object_pose)
 
-
-def placed_object(config: SimConfig) -> RigidPose:
-    """Where the parameters put the object, world frame."""
-    rotation = rotation_from_vector(np.radians(config.object_rotation_deg))
-    return RigidPose(np.array(config.object_position_m), rotation)
+    def _put(self, body: int, pose: RigidPose) -> None:
+        quaternion_xyzw = quaternion_from_rotation(pose.rotation)
+        self.client.resetBasePositionAndOrientation(body, pose.position_m, quaternion_xyzw)
 
 
 class Renderer:
@@ -357,9 +395,12 @@ class Renderer:
     that a small window around the ball costs a small part of a full image.
     """
 
-    def __init__(self, client: BulletClient, intrinsics: Intrinsics) -> None:
+    def __init__(
+        self, client: BulletClient, intrinsics: Intrinsics, near_m: float = _NEAR_M
+    ) -> None:
         self._client = client
         self.intrinsics = intrinsics
+        self._near_m = near_m  # what is nearer is not drawn
         rows = np.linspace(0.0, 1.0, intrinsics.height)[:, None]
         top_rgb, bottom_rgb = np.array([214, 224, 234]), np.array([244, 246, 247])
         colours = (1.0 - rows) * top_rgb + rows * bottom_rgb
@@ -377,8 +418,8 @@ class Renderer:
         part = region or Region.whole(self.intrinsics)
         colours, raw = self._draw(pose, part.view(self.intrinsics))
         nothing = raw >= 0.999999
-        scale = np.float32(1.0 / _NEAR_M - 1.0 / _FAR_M)
-        depth = np.float32(1.0) / (np.float32(1.0 / _NEAR_M) - scale * raw)
+        scale = np.float32(1.0 / self._near_m - 1.0 / _FAR_M)
+        depth = np.float32(1.0) / (np.float32(1.0 / self._near_m) - scale * raw)
         depth[nothing] = 0.0
         # Filling four bytes at once takes a tenth of the time of filling colour by colour.
         wall = self._wall[part.part[0]]
@@ -391,7 +432,7 @@ class Renderer:
             camera.width,
             camera.height,
             viewMatrix=_view_matrix(pose),
-            projectionMatrix=_projection_matrix(camera),
+            projectionMatrix=_projection_matrix(camera, self._near_m),
             lightDirection=(0.6, 0.5, 1.0),
             lightColor=(1.0, 1.0, 1.0),
             lightDistance=3.0,
@@ -421,14 +462,14 @@ def _view_matrix(pose: RigidPose) -> list[float]:
     return view.T.ravel().tolist()
 
 
-def _projection_matrix(camera: Intrinsics) -> list[float]:
+def _projection_matrix(camera: Intrinsics, near_m: float) -> list[float]:
     # Corrects the renderer's offset of half a pixel right and up from the pinhole model.
     projection = np.zeros((4, 4))
     projection[0, 0] = 2.0 * camera.fx / camera.width
     projection[0, 2] = 1.0 - 2.0 * camera.cx / camera.width
     projection[1, 1] = 2.0 * camera.fy / camera.height
     projection[1, 2] = 2.0 * (camera.cy + 1.0) / camera.height - 1.0
-    projection[2, 2] = -(_FAR_M + _NEAR_M) / (_FAR_M - _NEAR_M)
-    projection[2, 3] = -2.0 * _FAR_M * _NEAR_M / (_FAR_M - _NEAR_M)
+    projection[2, 2] = -(_FAR_M + near_m) / (_FAR_M - near_m)
+    projection[2, 3] = -2.0 * _FAR_M * near_m / (_FAR_M - near_m)
     projection[3, 2] = -1.0
     return projection.T.ravel().tolist()

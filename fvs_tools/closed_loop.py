@@ -31,8 +31,15 @@ from fvs_tools.schemes import scheme as scheme_called
 
 
 @lru_cache(maxsize=4)
-def _load(name: str, joint_names: tuple[str, ...], feature: str) -> TrainedModel:
-    return load_model(find_file(name), joint_names, KindConfig(feature=feature))
+def _load(name: str, joint_names: tuple[str, ...], feature: str, mount: str) -> TrainedModel:
+    expected = KindConfig(feature=feature, camera_mount=mount)
+    return load_model(find_file(name), joint_names, expected)
+
+
+def _seen(simulation: Simulation) -> dict[str, Any]:
+    """Parameters of what is servoed."""
+    config = simulation.config
+    return {"feature": config.feature, "camera_mount": config.camera_mount}
 
 
 def make_estimator(
@@ -52,7 +59,8 @@ def make_estimator(
     kind = kind or simulation.kind
     if method == "oracle":
         return _Oracle(simulation, kind)
-    load = partial(_load, model or kind.model, simulation.world.joint_names, kind.name)
+    names = simulation.world.joint_names
+    load = partial(_load, model or kind.model, names, kind.name, kind.camera_mount)
     return create_estimator(method, values, load, kind)
 
 
@@ -94,7 +102,7 @@ class ClosedLoop:
         self.estimator = estimator
         joints = {joint.name: joint for joint in simulation.world.joints}
         own = {"autostart": True, "joint_names": list(joints), **(controller_values or {})}
-        own["feature"] = simulation.config.feature
+        own |= _seen(simulation)
         self.loop = ServoLoop(with_urdf_limits(default_values(**own), joints))
         self.kind = self.loop.kind
         self.estimation = EstimationLoop(estimator)
@@ -112,7 +120,7 @@ class ClosedLoop:
         chosen = scheme_called(scheme) if isinstance(scheme, str) else scheme
         simulation = simulation or Simulation()
         values = {"law": chosen.law, **chosen.controller_values, **controller_values}
-        kind = KindConfig.from_values({**values, "feature": simulation.config.feature}).kind
+        kind = KindConfig.from_values({**values, **_seen(simulation)}).kind
         estimator = make_estimator(chosen.method, simulation, chosen.estimator_values, kind=kind)
         return cls(simulation, estimator, values)
 

@@ -9,9 +9,9 @@ from fvs_ros.camera import FeatureConfig
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.kind import FIXED, MOUNTS, ErrorText, Kind
 from fvs_ros.kinds.pose import Pose
-from fvs_ros.params import parameter, parts_of
+from fvs_ros.params import Parameters, parameter, parts_of
 
-__all__ = ["BODIES", "KINDS", "BodyConfig", "ErrorText", "Kind", "KindConfig"]
+__all__ = ["BODIES", "KINDS", "BodyConfig", "ErrorText", "Kind", "KindConfig", "MountConfig"]
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,8 @@ BODIES = tuple(name for name, kind in KINDS.items() if kind.rigid)
 
 
 @dataclass(frozen=True)
-class KindConfig(KindParameters):
-    """What is servoed."""
-
-    feature: str = parameter("ball", "kind of feature that is servoed", choices=tuple(KINDS))
+class MountConfig(Parameters):
+    """What carries the camera."""
 
     camera_mount: str = parameter(
         FIXED,
@@ -40,6 +38,13 @@ class KindConfig(KindParameters):
         "sees what stands in the room",
         choices=MOUNTS,
     )
+
+
+@dataclass(frozen=True)
+class KindConfig(KindParameters, MountConfig):
+    """What is servoed."""
+
+    feature: str = parameter("ball", "kind of feature that is servoed", choices=tuple(KINDS))
 
     @cached_property
     def kind(self) -> Kind:

@@ -10,7 +10,9 @@ from cases import each
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detectors import make_detector, make_object_detector
 from fvs_ros.camera import CameraModel
+from fvs_ros.rotations import rotation_from_vector
 from fvs_sim_node.actuator import Actuator
+from fvs_sim_node.camera import RigidPose
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import Simulation
 
@@ -250,3 +252,99 @@ def test_an_object_behind_the_tool_is_hidden_in_rendered_images_alone(make, rend
 def test_an_object_with_the_tools_tag_is_refused():
     with pytest.raises(ValueError, match="object_tag_id: tag 0 is on the tool"):
         Simulation(SimConfig(feature="pose", object_tag_id=0))
+
+
+# ---- the camera on the arm ------------------------------------------------------------------
+
+
+def place_before_camera(simulation, position_m, rotation_rad=(0.0, 0.0, 0.0)):
+    """Put what is servoed somewhere in the camera's frame; a tag turned from facing it."""
+    facing = np.diag([1.0, -1.0, -1.0]) @ rotation_from_vector(np.array(rotation_rad))
+    body = RigidPose(np.array(position_m), facing)
+    simulation.world.object_pose = simulation.camera.pose_from_own(body)
+
+
+@each("feature", ["ball", "pose"])
+@each("robot", ["ur5", "scara", "iiwa"])
+def test_truth_and_image_of_a_camera_on_the_arm_agree(make, robot, feature):
+    simulation = make(robot=robot, feature=feature, camera_mount="arm")
+    kind, home_rad = simulation.kind, simulation.world.home_rad
+    assert np.linalg.norm(simulation.true_feature()[:3]) == pytest.approx(0.35)
+    step, identity = 1e-3, np.eye(len(home_rad))
+    simulation.camera = simulation.camera.rotated(np.array([0.05, 0.05, 0.2])).moved(0.01)
+    for joints_rad in home_rad + 0.05 * np.array([0.0, 1.0])[:, None] * np.sin(
+        np.arange(len(identity))
+    ):
+
+        def seen(joints):
+            simulation.reset(joints)
+            return simulation.true_feature()
+
+        chain, jacobian = simulation.true_chain(), simulation.true_jacobian(joints_rad)
+        columns = [
+            kind.minus(seen(joints_rad + step * e), seen(joints_rad - step * e)) / (2.0 * step)
+            for e in identity
+        ]
+        np.testing.assert_allclose(jacobian, np.transpose(columns), atol=2e-4)
+        np.testing.assert_allclose(chain.position(joints_rad), seen(joints_rad), atol=1e-6)
+        assert np.linalg.norm(kind.minus(simulation.look().z, simulation.true_feature())) < 5e-3
+
+
+@each("rendered", [True, False])
+@each(
+    ("feature", "position_m", "rotation_rad", "seen"),
+    [
+        ("pose", (0.0, 0.0, 0.3), (0.0, 0.0, 0.5), True),
+        ("pose", (0.08, 0.0, 0.3), (0.0, 1.0, 0.0), True),
+        ("pose", (0.15, 0.0, 0.3), (0.0, 0.0, 0.0), False),  # a corner is outside
+        ("pose", (0.0, 0.0, 0.3), (0.0, 1.5, 0.0), False),  # too flat
+        ("pose", (0.0, 0.0, 0.3), (0.0, 3.0, 0.0), False),  # from behind
+        ("pose", (0.0, 0.0, 0.09), (0.0, 0.0, 0.0), False),  # too near
+        ("pose", (0.0, 0.0, 6.0), (0.0, 0.0, 0.0), False),  # too far away
+        ("ball", (0.0, 0.0, 0.3), (0.0, 0.0, 0.0), True),
+        ("ball", (0.0, 0.0, 0.15), (0.0, 0.0, 0.0), False),
+        ("ball", (0.3, 0.0, 0.3), (0.0, 0.0, 0.0), False),
+    ],
+)
+def test_a_camera_on_the_arm_sees_what_is_in_view(
+    make, rendered, feature, position_m, rotation_rad, seen
+):
+    simulation = make(feature=feature, camera_mount="arm", rendered=rendered)
+    place_before_camera(simulation, position_m, rotation_rad)
+    assert (simulation.look().z is not None) is seen
+
+
+def test_a_tag_is_blurred_by_its_motion_past_the_camera_alone(make):
+    simulation = make(feature="pose", camera_mount="arm", depth_noise=0.0)
+
+    def image(arm_rad_s, object_rad_s):
+        x, y, _ = object_rad_s * simulation.world.object_pose.position_m
+        change(
+            simulation,
+            object_velocity_m_s=(-y, x, 0.0),
+            object_turn_rate_deg_s=np.degrees(object_rad_s),
+        )
+        velocities = np.eye(6)[0] * arm_rad_s  # about the vertical, as the turntable
+        args = simulation.camera, velocities, np.random.default_rng(0)
+        return simulation.world.photograph(simulation.config, *args)[0].astype(float)
+
+    still = image(0.0, 0.0)
+    assert np.abs(image(1.5, 1.5) - still).max() <= 1.0
+    for speeds in ((1.5, 0.0), (0.0, -1.5)):
+        assert np.abs(image(*speeds) - still).max() > 30.0
+    np.testing.assert_allclose(image(1.5, 0.0), image(0.0, -1.5), atol=1.0)
+
+
+def test_a_bumped_bracket_stays_bumped_while_the_arm_moves(make):
+    simulation = make(camera_mount="arm", rendered=False, camera_rotation_deg=(0.0, 0.0, 90.0))
+    x, y, z = simulation.true_feature()
+    simulation.camera = simulation.camera.moved(simulation.camera.rotation @ [0.0, 0.02, 0.0])
+    np.testing.assert_allclose(simulation.true_feature(), [x, y - 0.02, z], atol=1e-12)
+    mounted = simulation.mounted
+    run(simulation, 25, [0.3, -0.2, 0.1, 0.4, 0.0, 0.2])
+    assert simulation.mounted is mounted
+
+
+def test_an_object_beside_it_is_refused_by_a_camera_on_the_arm():
+    with pytest.raises(ValueError, match="object_tag_id is for a fixed camera"):
+        SimConfig(camera_mount="arm", object_tag_id=10)
