@@ -163,7 +163,7 @@ class Setting:
     name: str
     view: View = field(default_factory=View)
     #: Who repeats it.
-    who: tuple[str, ...] = (*OURS, *CLASSIC)
+    who: tuple[str, ...] = ("best", LOOK)
     #: Largest motion of the object in between, m and degrees; that of the camera.
     object_moved: tuple[float, float] = (0.2, 60.0)
     camera_moved: tuple[float, float] = (0.0, 0.0)
@@ -454,23 +454,23 @@ def rows_of(job: tuple[Setting, int]) -> list[dict[str, Any]]:
 # ---- the experiment -------------------------------------------------------------------------
 
 CAMERA_MOVED = (0.3, 30.0)
-FEW = ("best", LOOK)
 LENS = ("best", TRAINED, LOOK)
 MOVED = Setting("object moved", who=(*OURS, *CLASSIC, *ABSOLUTE))
-WRONG_URDF = Setting("URDF 1° and 5 mm off", who=(*FEW, SERVO), zeros_deg=1.0, links_m=0.005)
+WRONG_URDF = Setting(
+    "URDF 1° and 5 mm off", who=("best", LOOK, SERVO), zeros_deg=1.0, links_m=0.005
+)
 RESTS = (
     MOVED,
     Setting("camera moved, too", camera_moved=CAMERA_MOVED),
     Setting("camera moved, focal 5 % off", View(focal_error=0.05), LENS, camera_moved=CAMERA_MOVED),
     Setting("distortion -0.1", View(radial=-0.1), LENS),
-    Setting("prints 2 % too large", View(tool_print=0.02, object_print=0.02), FEW),
-    Setting("the tool's print 2 % too large", View(tool_print=0.02), FEW),
+    Setting("prints 2 % too large", View(tool_print=0.02, object_print=0.02)),
+    Setting("the tool's print 2 % too large", View(tool_print=0.02)),
     WRONG_URDF,
 )
-BELTS = tuple(
-    Setting(f"belt, {speed:g} m/s", who=(*OURS, VISP), belt_m_s=speed) for speed in (0.05, 0.1, 0.2)
-)
-TURNTABLE = Setting("turntable, 30°/s", who=(*OURS, VISP), turntable_deg_s=30.0)
+_moving = partial(Setting, who=("best", VISP))
+BELTS = tuple(_moving(f"belt, {speed:g} m/s", belt_m_s=speed) for speed in (0.05, 0.1, 0.2))
+TURNTABLE = _moving("turntable, 30°/s", turntable_deg_s=30.0)
 PLATE = View(
     rendered=True,
     image_rate_hz=15.0,
@@ -483,7 +483,7 @@ PLATE = View(
 SINGLE = replace(
     PLATE, tag=Tag(tag_size_m=0.06), object_tag_size_m=0.06, object_tag_layout="single"
 )
-PLATES = Setting("plates", PLATE, FEW, apart_m=(0.21, 0.25))
+PLATES = Setting("plates", PLATE, apart_m=(0.21, 0.25))
 WRONG_LENS = replace(
     PLATES,
     name="plates, camera moved, focal 5 % off",
@@ -495,7 +495,7 @@ WORLDS_MOVED = (0.3, 10.0)
 PARTS = {
     "rest": RESTS,
     "moving": (*BELTS, TURNTABLE),
-    "images": (PLATES, WRONG_LENS, Setting("single tags of 60 mm", SINGLE, FEW)),
+    "images": (PLATES, WRONG_LENS, Setting("single tags of 60 mm", SINGLE)),
 }
 
 
@@ -509,7 +509,7 @@ def world(number: int) -> Setting:
     names = [item.name for item in fields(View) if item.name in set(amount).difference(others)]
     camera_m, camera_deg = (most * rng.uniform() for most in WORLDS_MOVED)
     view = _changed(View(), names, [amount[name] for name in names])
-    return Setting("worlds", view, FEW, camera_moved=(camera_m, camera_deg))
+    return Setting("worlds", view, camera_moved=(camera_m, camera_deg))
 
 
 def measure(context: lab.Context) -> Results:
