@@ -1,0 +1,113 @@
+"""A camera on the arm: other objects, taught views, a bumped bracket, an object on a belt."""
+
+from dataclasses import replace
+
+import numpy as np
+from cases import each
+
+from fvs_controller_node.reasons import State
+from fvs_controller_node.relation import OBJECT_FRAME
+from fvs_estimator_node.registry import create_estimator
+from fvs_sim_node.config import SimConfig
+from fvs_sim_node.simulation import Simulation
+from fvs_tools.closed_loop import ClosedLoop
+
+
+def loop_on_arm(feature, law="minimum_time", method="poe", **values):
+    """A loop with the chain that a faultless training finds, half a second after its start."""
+    simulation = Simulation(
+        SimConfig(feature=feature, camera_mount="arm", rendered=False, position_noise_m=2e-4)
+    )
+
+    class Trained:
+        chain = simulation.true_chain()
+
+    estimator = create_estimator(method, {}, lambda: Trained, simulation.kind)
+    loop = ClosedLoop(simulation, estimator, {"law": law, **values})
+    loop.run(0.5)
+    return loop
+
+
+def view_from(loop, seed=0):
+    """What the camera shall see of the object: what it sees at joints near by, (m,)."""
+    home = loop.simulation.world.home_rad
+    joints = home + np.random.default_rng(seed).uniform(-0.1, 0.1, len(home))
+    return loop.simulation.true_chain().position(joints)
+
+
+def errors_m(loop, target, seconds):
+    """Errors, tick by tick, m, (k, d)."""
+    errors = []
+    for _ in range(round(seconds / loop.period_s)):
+        loop.tick()
+        errors.append(loop.kind.minus(target, loop.true_feature))
+    return np.array(errors)
+
+
+def settling_s(loop, errors):
+    out = np.flatnonzero(np.linalg.norm(errors, axis=1) > 0.005)
+    return (out[-1] + 1) * loop.period_s
+
+
+def put_object(loop, motion_m):
+    """Move the object in the room by a motion as the camera sees it, m, (6,)."""
+    simulation = loop.simulation
+    pose = simulation.world.object_pose
+    shift_m = simulation.camera.rotation @ motion_m
+    simulation.world.object_pose = replace(pose, position_m=pose.position_m + shift_m)
+
+
+@each("feature", ["ball", "pose"])
+def test_it_reaches_views_of_an_object_that_was_put_elsewhere(feature):
+    loop = loop_on_arm(feature)
+    put_object(loop, np.array([0.04, -0.03, 0.05]))
+    loop.run(0.5)
+    target = view_from(loop)
+    loop.set_target(target)
+    errors = errors_m(loop, target, 2.0)
+    assert settling_s(loop, errors) < 0.6
+    assert np.linalg.norm(errors[-60:].mean(axis=0)) < 2e-4
+    assert loop.loop.supervisor.last.state is State.SERVOING
+
+
+def test_a_taught_view_is_reached_again_after_the_object_moved():
+    loop = loop_on_arm("pose")
+    loop.run(1.0)
+    taught = loop.loop.teach(loop.simulation.time_s)
+    assert taught.frame == OBJECT_FRAME  # the camera's pose as seen from the object
+    there = loop.kind.inverse(loop.true_feature)
+    assert np.linalg.norm(loop.kind.minus(taught.z, there)) < 1e-3
+    put_object(loop, np.array([-0.03, 0.04, 0.03]))
+    loop.run(0.5)
+    accepted, _ = loop.loop.go_to(taught)
+    assert accepted
+    loop.run(2.0)
+    off_m = loop.kind.minus(loop.kind.inverse(loop.true_feature), taught.z)
+    assert np.linalg.norm(off_m) < 1e-3
+
+
+@each("feature", ["ball", "pose"])
+def test_a_bracket_that_is_bumped_in_motion_costs_little(feature):
+    times_s = []
+    for turned_deg in (0.0, 10.0):
+        loop = loop_on_arm(feature)
+        target = view_from(loop, 3)
+        loop.set_target(target)
+        loop.run(0.1)
+        turn = (turned_deg, 0.0, 0.0)
+        loop.simulation.configure(replace(loop.simulation.config, camera_rotation_deg=turn))
+        times_s.append(settling_s(loop, errors_m(loop, target, 3.0)))
+    assert times_s[1] < 0.5 + 1.5 * times_s[0]
+
+
+@each("feature", ["ball", "pose"])
+def test_an_object_on_a_belt_is_followed_if_it_may_move(feature):
+    for moves in (True, False):
+        loop = loop_on_arm(feature, object_moves=moves)
+        target = loop.true_feature
+        loop.set_target(target)
+        belt_m_s = (0.0, 0.1, 0.0)
+        loop.simulation.configure(replace(loop.simulation.config, object_velocity_m_s=belt_m_s))
+        errors = errors_m(loop, target, 2.0)
+        behind_m = np.linalg.norm(errors[-125:], axis=1).max()
+        assert (behind_m < 1.5e-3) == moves
