@@ -14,12 +14,13 @@ from enum import Enum
 
 import numpy as np
 
+from fvs_estimator_node.in_view import InView
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.following import Following
 from fvs_ros.interface import CommandInterface
 from fvs_ros.kinds import KindConfig
 from fvs_ros.limiter import CommandLimiter
-from fvs_ros.limits import tick_s
+from fvs_ros.limits import limit_speed, tick_s
 from fvs_ros.params import parameter
 from fvs_ros.timeline import Sample, Timeline, repeats
 
@@ -30,6 +31,9 @@ _AGAINST_RAD = 0.01
 #: A driver holds the last command while this computer stalls: within this time it takes no joint
 #: beyond its range, s. A stall of 0.5 s, and a drive's lag of 0.1 s.
 _HELD_S = 0.6
+#: Speed of the path with the camera on the arm, over the limit: the rest is left for keeping the
+#: object in view.
+_IN_VIEW_SHARE = 0.4
 #: Time from the first joint state on in which robot_description comes, if there is one, s.
 _DESCRIPTION_S = 2.0
 #: Time without joint states or ball after which the run ends with an error, s. Drivers and
@@ -43,6 +47,12 @@ class CollectorConfig(MotionConfig, KindConfig, CommandInterface):
 
     output_path: str = parameter("out/collect/dataset.npz", "data set file to write")
     seed: int = parameter(0, "seed of the motion", 0)
+
+    @property
+    def path_speed_rad_s(self) -> float:
+        """Speed of the path, rad/s."""
+        slow = _IN_VIEW_SHARE * self.max_joint_velocity_rad_s
+        return slow if self.kind.on_arm else super().path_speed_rad_s
 
     def allowed_rad(self, box_rad: np.ndarray) -> np.ndarray:
         """Where joints may be, (2, n), rad: in their ranges, and within a stall of their box."""
@@ -81,6 +91,7 @@ class CollectionRun:
         self.config, self._names = config, config.joint_names
         self._unseen = f"no {config.kind.feature.name}"
         self._motion: RandomMotion | None = None
+        self._in_view: InView | None = None  # with the camera on the arm
         self._timeline = Timeline()
         self._joints: np.ndarray | None = None
         self._first_s = self._joints_s = self._ball_s = -np.inf
@@ -163,6 +174,9 @@ class CollectionRun:
     def _record(self, samples: list[Sample]) -> None:
         if self.state in (State.MOVING, State.RETURNING):
             self.samples.extend(samples)
+            if self._in_view is not None:
+                for sample in samples:
+                    self._in_view.learn(sample.joints_rad, sample.z)
 
     def tick(self, now_s: float, dt_s: float) -> np.ndarray:
         """Joint velocities for this tick, rad/s, shape (n,); always finite and within limits.
@@ -195,12 +209,9 @@ class CollectionRun:
             self._wait(now_s, State.HOLDING, late or before)
             return None
         if self._motion is None:
-            try:
-                rng = np.random.default_rng(self.config.seed)
-                self._motion = RandomMotion(joints, self.config, rng)
-            except ValueError as error:
-                self.fail(str(error))
-                return None
+            self._begin(joints)
+        if self._motion is None:
+            return None
         motion = self._motion
         self._watch_box(joints, motion.box_rad)
         self._watch_following()
@@ -215,6 +226,8 @@ class CollectionRun:
                 return None
             self.state, self.reason = State.RETURNING, "back to where it began"
         elif lost:
+            if self._in_view is not None and self.state is State.MOVING:
+                self._in_view.lost()
             motion.return_home()
             self._wait(now_s, State.RETURNING, lost)
         else:
@@ -222,7 +235,24 @@ class CollectionRun:
             motion.resume(self._moved_s, joints)
             self.state, self.reason = State.MOVING, "moving and recording"
         moves = self.state in (State.MOVING, State.RETURNING)
-        return motion.command(self._moved_s, joints) if moves else None
+        return self._command(motion, joints) if moves else None
+
+    def _begin(self, joints: np.ndarray) -> None:
+        config = self.config
+        try:
+            self._motion = RandomMotion(joints, config, np.random.default_rng(config.seed))
+        except ValueError as error:
+            self.fail(str(error))
+            return
+        if config.kind.on_arm:
+            self._in_view = InView(config.kind, self._motion.box_rad, config.share)
+
+    def _command(self, motion: RandomMotion, joints: np.ndarray) -> np.ndarray:
+        velocity = motion.command(self._moved_s, joints)
+        if self._in_view is None or self.state is State.RETURNING:
+            return velocity
+        velocity = limit_speed(velocity, self.config.path_speed_rad_s, self.config.share)
+        return self._in_view.limited(velocity, joints)
 
     def _watch_box(self, joints: np.ndarray, box_rad: np.ndarray) -> None:
         low, high = self.config.allowed_rad(box_rad)

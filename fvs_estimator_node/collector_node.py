@@ -126,6 +126,7 @@ class CollectorNode(ros.FvsNode):
             joint_names=tuple(self._names),
             feature_frame=self._config.feature_frame,
             feature=self._config.feature,
+            camera_mount=self._config.camera_mount,
             provenance={
                 "collected": datetime.now(timezone.utc).isoformat(timespec="seconds"),
                 "simulated_time": bool(self._simulated_time),

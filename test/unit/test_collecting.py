@@ -1,6 +1,7 @@
 """Whatever a collection run meets: commands within limits, none unasked, and reasons in words."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from fvs_estimator_node.collecting import GIVE_UP_S, CollectionRun, CollectorCon
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.joints import UR_POSITION_LIMITS_RAD
 from fvs_ros.limits import with_urdf_limits
+from fvs_ros.paths import find_file
 from fvs_ros.urdf import read_joints
+from fvs_tools.kinematics import kinematics
 
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 DT_S, LONGEST_S, DURATION_S = 0.008, 0.05, 20.0
@@ -277,6 +280,33 @@ def test_a_jerk_limit_holds_in_motion_and_while_it_stops_and_zeros_are_reached()
         joints = joints + DT_S * commands[-1]
     assert np.abs(np.diff(commands, 2, axis=0)).max() <= 30.0 * DT_S**2 + 1e-12
     assert run.ended
+
+
+def camera_on_a_ur5(feature):
+    """What its camera, on the flange, sees: a chain, with an object 0.35 m in front at HOME."""
+    arm = kinematics(read_joints(find_file("robots/ur5.urdf").read_text("utf-8")))
+    facing = np.array([0.03, -0.02, 0.35, *np.diag([1.0, -1.0, -1.0]).ravel()])
+    chain = arm.chain(facing).moved(arm.tip_rotation.T, -arm.tip_rotation.T @ arm.tip_m)
+    facing = facing[: {"ball": 3, "pose": 12}[feature]]
+    return replace(chain, feature_m=facing, on_arm=True).anchored(HOME, facing)
+
+
+@each(("feature", "half_rad", "losses"), [("pose", 0.3, 0), ("ball", 0.3, 0), ("pose", 0.12, 3)])
+def test_the_object_stays_in_view_of_a_camera_on_the_arm(feature, half_rad, losses):
+    chain, duration_s = camera_on_a_ur5(feature), 30.0
+    run = CollectionRun(CollectorConfig(duration_s=duration_s, feature=feature, camera_mount="arm"))
+    joints, states, rng = HOME, [], np.random.default_rng(0)
+    while not run.ended and len(states) < 3.0 * duration_s / DT_S:
+        now_s = 5.0 + DT_S * len(states)
+        run.joint_states(now_s, now_s, joints)
+        z = chain.position(joints)
+        if len(states) % 4 == 0 and np.abs(np.arctan2(z[:2], z[2])).max() < half_rad:
+            run.image(now_s, now_s, z + rng.normal(0.0, 2e-4, len(z)))
+        joints = joints + DT_S * run.tick(now_s, DT_S)
+        states.append(run.reason.startswith("no object"))
+    assert run.state is State.DONE
+    assert np.count_nonzero(np.diff(states) > 0) <= losses
+    assert np.std([sample.joints_rad for sample in run.samples], axis=0).min() > 0.05
 
 
 # ---- the motion ---------------------------------------------------------------------------
