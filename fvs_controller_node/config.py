@@ -16,6 +16,7 @@ from fvs_ros.interface import CommandInterface
 from fvs_ros.kinds import KindConfig
 from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterError, Parameters, ParameterSet, live_parameter, parameter
+from fvs_ros.view import ViewConfig
 
 #: The control laws by name. A new law is one file in this folder and one line here.
 LAWS: dict[str, type[ControlLaw]] = {
@@ -50,7 +51,7 @@ class ControllerConfig(CommandInterface):
 
 
 @dataclass(frozen=True)
-class SupervisorConfig(JointLimits, KindConfig):
+class SupervisorConfig(JointLimits, KindConfig, ViewConfig):
     """Limits and thresholds of the supervisor."""
 
     #: Consecutive good messages after which an input is valid again: a single one may be left over.

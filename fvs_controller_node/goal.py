@@ -112,19 +112,22 @@ class Progress:
             self._swings_m = self._first_m = 0.0
             self._swung = _Mark(error_m, target_m)
 
-    def check(self, config: SupervisorConfig) -> Finding | None:
-        """Find an error that grows, swings or stalls."""
+    def check(self, config: SupervisorConfig, remark: str = "") -> Finding | None:
+        """Find an error that grows, swings or stalls; a remark follows the sentence."""
         text, error_m = config.kind.length_text, inf if self._smooth_m is None else self._smooth_m
         if self._up_s >= config.growth_time_s:
             return Reason.ERROR_GROWING.because(
                 best=text(float(self._best.error)),
                 error=text(error_m),
                 time_s=config.growth_time_s,
+                remark=remark,
             )
         if self._swings_m > _SWINGS_M + 2.0 * self._first_m:
             return Reason.OSCILLATING.because(what=config.kind.what, distance=text(self._swings_m))
         if self._since_s >= config.stall_time_s:
-            return Reason.STALLED.because(time_s=config.stall_time_s, error=text(error_m))
+            return Reason.STALLED.because(
+                time_s=config.stall_time_s, error=text(error_m), remark=remark
+            )
         return None
 
 
@@ -173,9 +176,7 @@ class Goal:
         if np.shape(target) != (numbers,) or not np.isfinite(target).all():
             return f"expected {numbers} finite numbers, got {target}"
         outside = self._outside(np.asarray(target, dtype=float))
-        if outside:
-            return f"{', '.join(outside)} (workspace_min_m and workspace_max_m, in {frame})"
-        return ""
+        return f"{outside}, in {frame}" if outside else ""
 
     def set(
         self, target: np.ndarray, frame: str, there_s: float = -inf, age_s: float = 0.0
@@ -239,14 +240,16 @@ class Goal:
             self._error_m = self._config.kind.minus(z, target, self._error_m)
         return self._error_m
 
-    def _outside(self, target: np.ndarray) -> list[str]:
-        """Say which coordinates of a target are outside the workspace box."""
-        if not self._config.kind.box_size:
-            return []
-        low, high = self._config.workspace_min_m, self._config.workspace_max_m
-        axes = self._config.kind.axes
-        return [
+    def _outside(self, target: np.ndarray) -> str:
+        """Say how a target is out of the workspace box, or of the view of a camera on the arm."""
+        config, kind = self._config, self._config.kind
+        low, high = config.workspace_min_m, config.workspace_max_m
+        axes = kind.axes[: kind.box_size]
+        outside = [
             f"{axis} = {value:.3f} m is not in [{lo:g}, {hi:g}]"
             for axis, value, lo, hi in zip(axes, target.tolist(), low, high, strict=False)
             if not lo <= value <= hi
         ]
+        if outside:
+            return f"{', '.join(outside)} (workspace_min_m and workspace_max_m)"
+        return config.out_of_view(kind, target) if kind.on_arm else ""

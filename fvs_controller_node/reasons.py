@@ -42,8 +42,8 @@ class Reason(Enum):
     session: nothing moves again until ``~/start``.
     """
 
-    SERVOING = (State.SERVOING, Stop.NONE, False, "servoing, {error} to go")
-    SETTLED = (State.SERVOING, Stop.NONE, False, "on target, {error} off")
+    SERVOING = (State.SERVOING, Stop.NONE, False, "servoing, {error} to go{remark}")
+    SETTLED = (State.SERVOING, Stop.NONE, False, "on target, {error} off{remark}")
     READY = (State.READY, Stop.RAMP, False, "ready", "call ~/start to move")
 
     MISSING = _holds("no {name} yet ({count} of {wanted} messages)", "{hint}")
@@ -66,11 +66,11 @@ class Reason(Enum):
         "check camera and model, call the estimator's ~/reset",
     )
     ERROR_GROWING = _ends(
-        "the error has grown for {time_s:.1f} s: {best} to {error}",
+        "the error has grown for {time_s:.1f} s: {best} to {error}{remark}",
         "check camera and model, or choose a reachable target",
     )
     STALLED = _ends(
-        "no progress for {time_s:.0f} s, {error} from the target",
+        "no progress for {time_s:.0f} s, {error} from the target{remark}",
         "choose a reachable target, or check joint limits and model",
     )
     OSCILLATING = _ends(

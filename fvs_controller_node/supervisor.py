@@ -24,6 +24,7 @@ from fvs_ros.following import TrackingFault
 from fvs_ros.kinds import ErrorText
 from fvs_ros.limiter import CommandLimiter
 from fvs_ros.vectors import all_finite, largest
+from fvs_ros.view import WHERE, Barrier
 
 #: Speed at which the arm may leave a singular pose, rad/s.
 _LEAVING_RAD_S = 0.1
@@ -85,6 +86,7 @@ class Supervisor:
         self._limiter = CommandLimiter(config)
         self._present = Present(None, None, None, np.zeros(joints))
         self._smallest_m_rad = inf  # smallest singular value of its Jacobian
+        self._where = ""  # in the view, where that limits the motion
         self._shut_down = False
         missing = self.inputs.find(-inf)
         assert missing is not None
@@ -215,7 +217,7 @@ class Supervisor:
             self._prediction.check(
                 present.verdict, present.jacobian, dt_s * self._limiter.velocity_rad_s, config
             ),
-            self.goal.progress.check(config),
+            self.goal.progress.check(config, self._remark),
             self._following(present.not_following),
         )
         return next((finding for finding in findings if finding is not None), None)
@@ -253,12 +255,27 @@ class Supervisor:
             fast = min(fast, _LEAVING_RAD_S)
             self._singularity.go_on(dt_s)
         wanted, pending_rad = np.asarray(output.velocity_rad_s, float), self._present.pending_rad
-        active += self._limiter.move(wanted, joints, dt_s, pending_rad, fast)
+        view = self._view()
+        active += self._limiter.move(wanted, joints, dt_s, pending_rad, fast, view)
+        self._where = next((limit for limit in active if limit in WHERE), "")
         reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING
         error = self.goal.error_m
         assert error is not None
-        finding = reason.because(error=ErrorText(config.kind, error))
+        finding = reason.because(error=ErrorText(config.kind, error), remark=self._remark)
         return self._command(finding, ", ".join(active), output)
+
+    def _view(self) -> Barrier | None:
+        """What keeps the object in the view of a camera on the arm."""
+        config, present, target = self.config, self._present, self.goal.target
+        if not config.kind.on_arm or present.z is None or target is None:
+            return None
+        assert present.jacobian is not None
+        return config.barrier(config.kind, present.z, target, present.jacobian, present.pending_rad)
+
+    @property
+    def _remark(self) -> str:
+        """What is given up for the view, after a sentence."""
+        return f"; slowed, the {self.config.kind.what} is {self._where}" if self._where else ""
 
     def _rest(self, finding: Finding | None, joints: np.ndarray | None, dt_s: float) -> Command:
         """Bring the arm to rest, and say why."""

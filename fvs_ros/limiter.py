@@ -8,6 +8,7 @@ import numpy as np
 
 from fvs_ros.limits import BELOW, JointLimits, braking_speed, limit_speed
 from fvs_ros.vectors import largest
+from fvs_ros.view import Barrier
 
 #: Share of the acceleration limit that braking for the end of a range is planned with. With 0.9 a
 #: joint passed its end by up to 90 mrad (3 rad/s, a lag of 90 ms) while the drives' lag was not
@@ -51,6 +52,7 @@ class CommandLimiter:
         dt_s: float,
         pending_rad: np.ndarray,
         fastest_rad_s: float = inf,
+        barrier: Barrier | None = None,
     ) -> list[str]:
         """Command the velocity that is nearest to what is wanted.
 
@@ -65,6 +67,8 @@ class CommandLimiter:
             goes towards it; it adds none if it goes away.
         fastest_rad_s : float
             A speed limit below that of the arm, rad/s.
+        barrier : Barrier, optional
+            What keeps an object in view. Only braking for it takes longer than a tick.
 
         Returns
         -------
@@ -73,12 +77,20 @@ class CommandLimiter:
         """
         limits, active = self.limits, list[str]()
         fastest_rad_s = min(fastest_rad_s, limits.max_joint_velocity_rad_s)
+        if barrier is not None:
+            fastest_rad_s *= barrier.share
         velocity = limit_speed(wanted_rad_s, fastest_rad_s, limits.share)
         if velocity is not wanted_rad_s:
             active.append("velocity")
+        if barrier is not None:
+            velocity, where = barrier.nearest(velocity, limits.share)
+            velocity = limit_speed(velocity, fastest_rad_s, limits.share)
+            active += [where] if where else []
         acceleration, room_s = limits.max_joint_acceleration_rad_s2, self._hold_s or dt_s
         allowed, slowed = self.slow_down(velocity, joints_rad, acceleration, room_s, pending_rad)
         active += [f"range of {limits.joint_names[joint]}" for joint in slowed]
+        if barrier is not None:
+            allowed = barrier.shortened(allowed)
         velocity = self._step_to(allowed, dt_s)
         if velocity is not allowed and (velocity != allowed).any():
             active.append("acceleration")

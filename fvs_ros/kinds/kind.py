@@ -251,6 +251,10 @@ class Kind(Parameters):
         """Directions that turn with the body, weighted, m, (k, 3)."""
         return np.zeros((0, 3))
 
+    def facing(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cosines, (k,), of how flat the camera sees each face, and their slopes, 1/m, (k, d)."""
+        return np.zeros(0), np.zeros((0, self.size))
+
     # ---- words -------------------------------------------------------------------------------
 
     def text(self, z: np.ndarray) -> str:

@@ -191,6 +191,17 @@ class Pose(Kind):
         """The axes, weighted, m, (3, 3): one a row."""
         return self.weights[-1] * z[3:].reshape(3, 3)
 
+    def facing(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cosine, (1,), of the angle between the print's normal and the line to the camera."""
+        distance_m, normal = length(z[:3]), z[9:]
+        sight = z[:3] / distance_m
+        cosine = -normal.dot(sight)
+        by_motion = (
+            (normal + cosine * sight) / -distance_m,
+            np.cross(sight, normal) / self.lever_arm_m,
+        )
+        return np.array([cosine]), np.concatenate(by_motion)[None]
+
     def text(self, z: np.ndarray) -> str:
         """A pose in words."""
         turned_deg = np.degrees(vector_from_rotation_rad(self.rotation(z)))
