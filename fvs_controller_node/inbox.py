@@ -249,7 +249,8 @@ class Inbox:
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Ages and the robot's reports, always the same keys in the same order."""
-        watched = [self[name] for name in (JOINT_STATES, FEATURE, JACOBIAN, OBJECT)]
+        of_object = [OBJECT] * (not self._config.kind.on_arm)  # else it is the feature
+        watched = [self[name] for name in (JOINT_STATES, FEATURE, JACOBIAN, *of_object)]
         ages = {f"{monitor.name}_age_s": monitor.age_s(now_s) for monitor in watched}
         running = {None: "unknown", False: "false", True: "true"}[self._program_running]
         return {

@@ -107,7 +107,8 @@ def reference_text(reference: Reference | str, kind: Kind) -> str:
     """A reference in words, or what is wrong with it."""
     if isinstance(reference, str):
         return reference
-    return f"in the {_frame(reference)}'s frame: {kind.text(reference.z)}"
+    camera = "the camera " * kind.on_arm
+    return f"{camera}in the {_frame(reference)}'s frame: {kind.text(reference.z)}"
 
 
 def _frame(reference: Reference) -> str:
@@ -121,10 +122,12 @@ def inputs_html(board: Board, tool: str, seen_object: str, now_s: float) -> str:
     """
     controller = board.controller(now_s)
     details = {}
-    for name, label in {tool: "Seen", **_INPUTS, seen_object: "Object"}.items():
+    labels = {tool: "Seen", **_INPUTS, seen_object: "Object"}
+    labels[tool] = "Seen"  # also where that is the object
+    for name, label in labels.items():
         age_s = controller.number(f"{name}_age_s")
         details[label] = "never" if not isfinite(age_s) else f"{1e3 * age_s:.0f} ms ago"
-    if details["Object"] == "never":  # most have none
+    if details.get("Object") == "never":  # most have none
         del details["Object"]
     running = controller.values.get("robot_program_running")
     percent = controller.number("speed_scaling_percent")

@@ -20,7 +20,7 @@ from fvs_dashboard import markup, picture
 from fvs_dashboard.board import HISTORY_S, REFERENCE, Action, Board
 from fvs_dashboard.config import VISER, DashboardConfig
 from fvs_dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
-from fvs_dashboard.scene import LEGEND, Scene
+from fvs_dashboard.scene import LEGENDS, Scene
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros import topics
 
@@ -67,14 +67,16 @@ class Page:
         with curves.add_tab("Curves", viser.Icon.CHART_LINE):
             self._charts = Charts(gui, joint_names)
             self._inputs = gui.add_html("")
-            gui.add_html(markup.legend_html(LEGEND))
+            gui.add_html(markup.legend_html(LEGENDS[config.camera_mount]))
             self._note = gui.add_html("")
         curves.dock_left()
         curves.set_width(400)
         self.scene = Scene(server, config.ball_radius_m, config.kind, self._dragged)
-        # Behind the simulator's camera, so that view and picture have the same orientation.
-        server.initial_camera.position = (2.9, -1.05, 1.4)
-        server.initial_camera.look_at = (0.6, -0.3, 0.42)
+        # Behind the simulator's camera, so that view and picture have the same orientation; nearer
+        # to one on the arm.
+        on_arm = config.kind.on_arm
+        server.initial_camera.position = (1.9, -0.9, 0.8) if on_arm else (2.9, -1.05, 1.4)
+        server.initial_camera.look_at = (0.3, -0.1, 0.2) if on_arm else (0.6, -0.3, 0.42)
         server.initial_camera.fov = 0.8
         self._shown = 0
 
@@ -210,7 +212,8 @@ class Panel:
 
     def _add_target(self, tour: bool) -> None:
         gui = self._gui
-        with gui.add_folder("Target in the camera's frame"):
+        of_what = " of the object" * self._kind.on_arm
+        with gui.add_folder(f"Target{of_what} in the camera's frame"):
             self._target = gui.add_vector3("x, y, z (m)", (0.0, 0.0, 0.0), step=0.001)
             gui.add_html(markup.ROW)
             go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW)
@@ -235,7 +238,10 @@ class Panel:
         with gui.add_folder("Teach and repeat"):
             self._name = gui.add_text("Name", "", hint="Of what is taught, or gone to.")
             gui.add_html(markup.ROW)
-            hint = "Keeps where the tool is at rest, seen from the object if one is seen."
+            if self._kind.on_arm:
+                hint = "Keeps where the camera is at rest, seen from the object."
+            else:
+                hint = "Keeps where the tool is at rest, seen from the object if one is seen."
             self._button("Teach", "teach", self._name, color="gray", hint=hint)
             hint = "Makes it the target, and starts the arm."
             self._button("Go there", "go", self._name, color="blue", hint=hint)

@@ -13,27 +13,31 @@ import numpy as np
 import viser
 import yourdfpy
 from viser.extras import ViserUrdf
-from viser.transforms import SO3
+from viser.transforms import SE3, SO3
 
 from fvs_dashboard.board import OBJECT_POSITION, OBJECT_ROTATION, Action, Board
 from fvs_dashboard.picture import TARGET_RGB
 from fvs_ros import topics
-from fvs_ros.kinds import Kind
+from fvs_ros.kinds.kind import FIXED, ON_ARM, Kind
 from fvs_ros.urdf import read_robot
 from fvs_sim_node.robot import find_meshes
 
 _MEASURED, _PREDICTED, _OBJECT = (213, 40, 30), (255, 214, 0), (204, 121, 167)
-#: What the colours mean in the view.
-LEGEND = (
-    ("●", _MEASURED, "as measured"),
-    ("◉", _PREDICTED, "where it is now"),
-    ("●", TARGET_RGB, "target: drag it"),
-    ("■", _OBJECT, "object"),
-)
+_MOVING = ("◉", _PREDICTED, "where it is now"), ("●", TARGET_RGB, "target: drag it")
+#: What the colours mean in the view, by where the camera is.
+LEGENDS = {
+    FIXED: (("●", _MEASURED, "as measured"), *_MOVING, ("■", _OBJECT, "object")),
+    ON_ARM: (("■", _OBJECT, "object, as measured"), *_MOVING),
+}
+#: Vertical angle of a RealSense's view, rad, and width over height.
+_VIEW = 0.743, 4.0 / 3.0
 
 
 class Scene:
     """The content of the 3-D view; the camera's measurements are shown in its frame.
+
+    With the camera on the arm, the object's pose as a target is shown, and dragged, as the pose of
+    the camera in the room from which the object is seen like that.
 
     ``on_drag`` gets an action while target or simulated object are dragged or rotated, and when let
     go.
@@ -47,6 +51,8 @@ class Scene:
         on_drag: Callable[[Action], None],
     ) -> None:
         self._server, self._kind = server, kind
+        self._turns = kind.size > 3  # what is servoed; a ball does not
+        self._aims_camera = kind.on_arm and self._turns
         self._on_drag = on_drag
         self._held_s = {"target": -inf, "object": -inf}  # when a person last held it
         self._arm: Arm | None = None
@@ -61,7 +67,7 @@ class Scene:
         level = [[0.0, 0.0, -1.0, 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.4], [0, 0, 0, 1]]
         _set_pose(self._camera, np.array(level))
         look = {"scale": 0.14, "thickness": 0.004, "color": (190, 196, 208)}
-        scene.add_camera_frustum("/camera/view", 0.743, 4.0 / 3.0, **look)  # a RealSense's angle
+        scene.add_camera_frustum("/camera/view", *_VIEW, **look)
         self._measured = scene.add_icosphere(
             "/camera/measured", ball_radius_m, _MEASURED, visible=False
         )
@@ -72,7 +78,7 @@ class Scene:
         self._axes = scene.add_frame(
             "/camera/tag", axes_length=0.08, axes_radius=0.004, visible=False
         )
-        self._add_object()
+        self._add_object(ball_radius_m)
         self._add_target(ball_radius_m)
 
     def _add_surroundings(self) -> None:
@@ -84,18 +90,23 @@ class Scene:
 
     def _add_target(self, ball_radius_m: float) -> None:
         scene = self._server.scene
+        name = "/target" if self._aims_camera else "/camera/target"
         self._target = scene.add_transform_controls(
-            "/camera/target",
+            name,
             scale=0.16,
             line_width=3.0,
             disable_rotations=True,
             depth_test=False,
             visible=False,
         )
-        # Smaller than what is measured, which hides it once it is there.
-        scene.add_icosphere("/camera/target/ball", 0.6 * ball_radius_m, TARGET_RGB, opacity=0.8)
+        if self._aims_camera:
+            look = {"scale": 0.1, "thickness": 0.004, "color": TARGET_RGB}
+            scene.add_camera_frustum(f"{name}/view", *_VIEW, **look)
+        else:
+            # Smaller than what is measured, which hides it once it is there.
+            scene.add_icosphere(f"{name}/ball", 0.6 * ball_radius_m, TARGET_RGB, opacity=0.8)
         self._target_axes = scene.add_frame(
-            "/camera/target/axes", axes_length=0.08, axes_radius=0.003, visible=False
+            f"{name}/axes", axes_length=0.08, axes_radius=0.003, visible=False
         )
 
         @self._target.on_update
@@ -103,17 +114,23 @@ class Scene:
             # In the page's thread; assignments of numbers alone.
             self._held_s["target"] = time.monotonic()
             if event.phase != "start":
-                numbers = (*event.target.position, *event.target.wxyz)
+                target = _pose(event.target)
+                if self._aims_camera:
+                    target = target.inverse() @ _pose(self._object)
+                numbers = (*target.translation(), *target.rotation().wxyz)
                 self._on_drag(Action("target", tuple(float(number) for number in numbers)))
 
-    def _add_object(self) -> None:
+    def _add_object(self, ball_radius_m: float) -> None:
         scene = self._server.scene
         # In the robot's root link, so that it is dragged along table and vertical.
         self._object = scene.add_transform_controls(
             "/object", scale=0.12, line_width=3.0, depth_test=False, visible=False
         )
-        scene.add_box("/object/plate", color=_OBJECT, dimensions=(0.08, 0.08, 0.004))
-        scene.add_frame("/object/axes", axes_length=0.08, axes_radius=0.003)
+        if self._kind.on_arm and not self._turns:
+            scene.add_icosphere("/object/ball", ball_radius_m, _OBJECT)
+        else:
+            scene.add_box("/object/plate", color=_OBJECT, dimensions=(0.08, 0.08, 0.004))
+            scene.add_frame("/object/axes", axes_length=0.08, axes_radius=0.003)
 
         @self._object.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
@@ -138,30 +155,48 @@ class Scene:
             _set_pose(self._camera, self._arm.in_root(*board.camera))
             self._root.visible = True
         controller, z = board.controller(now_s), board.newest("feature", now_s)
-        _put(self._measured, None if z is None else z[:3])
         _put(self._predicted, controller.position_m)
-        rotation = None if z is None else self._kind.rotation(z)
-        if rotation is not None:
-            self._axes.wxyz = SO3.from_matrix(rotation).wxyz
+        if z is not None and self._turns:
+            self._axes.wxyz = SO3.from_matrix(self._kind.rotation(z)).wxyz
             self._target.disable_rotations, self._target_axes.visible = False, True
-        _put(self._axes, None if rotation is None else z[:3])
+        if not self._kind.on_arm:  # else the object shows it
+            _put(self._measured, None if z is None else z[:3])
+            _put(self._axes, z[:3] if z is not None and self._turns else None)
         # After a drag they stay where they were dropped until the nodes have answered.
         held_since_s = time.monotonic() - 0.6
         if self._held_s["object"] < held_since_s:
             self._show_object(board, now_s)
         if self._held_s["target"] < held_since_s:
-            _put(self._target, controller.target_m)
-            if np.isfinite(controller.target_wxyz).all():
-                self._target.wxyz = controller.target_wxyz
+            self._show_target(controller.target_m, controller.target_wxyz)
+
+    def _show_target(self, position_m: np.ndarray | None, wxyz: np.ndarray) -> None:
+        if self._aims_camera and position_m is not None:
+            if not (self._object.visible and np.isfinite(wxyz).all()):
+                position_m = None
+            else:
+                seen = SE3.from_rotation_and_translation(SO3(wxyz), position_m)
+                wanted = _pose(self._object) @ seen.inverse()
+                position_m, wxyz = wanted.translation(), wanted.rotation().wxyz
+        _put(self._target, position_m)
+        if np.isfinite(wxyz).all():
+            self._target.wxyz = wxyz
 
     def _show_object(self, board: Board, now_s: float) -> None:
-        """Show it as measured; a simulated one that is not seen, where the simulator put it."""
+        """Show it as measured; a simulated one that is not seen, where the simulator put it.
+
+        To a camera on the arm it stays where it was seen last, or was dragged to.
+        """
         z, put = board.newest("object", now_s), board.parameter(*OBJECT_POSITION.split("/"))
-        simulated = put is not None and board.parameter(topics.SIM, "object_tag_id") >= 0
-        gizmo = self._object
-        gizmo.disable_axes = gizmo.disable_sliders = gizmo.disable_rotations = not simulated
+        on_arm, gizmo = self._kind.on_arm, self._object
+        simulated = put is not None and (
+            on_arm or board.parameter(topics.SIM, "object_tag_id") >= 0
+        )
+        gizmo.disable_axes = gizmo.disable_sliders = not simulated
+        gizmo.disable_rotations = not simulated or (on_arm and not self._turns)
+        if on_arm and z is None:
+            return
         rotation, position_m = SO3.identity(), None
-        if simulated:
+        if simulated and not on_arm:
             turned_deg = board.parameter(*OBJECT_ROTATION.split("/"))
             rotation, position_m = SO3.exp(np.radians(turned_deg)), np.array(put)
         if z is not None:
@@ -174,6 +209,10 @@ class Scene:
 
 def _set_pose(node: viser.SceneNodeHandle, pose: np.ndarray) -> None:
     node.wxyz, node.position = SO3.from_matrix(pose[:3, :3]).wxyz, pose[:3, 3]
+
+
+def _pose(node: viser.SceneNodeHandle) -> SE3:
+    return SE3(np.concatenate([node.wxyz, node.position]))
 
 
 def _put(node: viser.SceneNodeHandle, position_m: np.ndarray | None) -> None:

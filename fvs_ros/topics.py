@@ -270,7 +270,8 @@ CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", "Simulated time, with `simula
 TF_STATIC = Topic(
     "/tf_static",
     "tf2_msgs/msg/TFMessage",
-    "Pose of the camera in the robot's root link; the simulator's if `tf2_msgs` is installed.",
+    "Pose of the camera in the robot's root link, or in that which carries it; the simulator's if "
+    "`tf2_msgs` is installed.",
     (SIM,),
     (DASHBOARD,),
     also_from="static_transform_publisher",
@@ -280,7 +281,7 @@ TF_STATIC = Topic(
 TRUE_CAMERA_POSE = Topic(
     f"{SIM}/true_camera_pose",
     "geometry_msgs/msg/PoseStamped",
-    "True pose of the camera's optical frame in the robot's root link, for viewing.",
+    "True pose of the camera's optical frame in the link that carries it, for viewing.",
     (SIM,),
     (DASHBOARD,),
     offers=Qos.LATCHED,

@@ -1,5 +1,6 @@
 """The page as it is served, without ROS: who is let in, and what stands where."""
 
+import time
 import types
 import urllib.request
 
@@ -14,9 +15,12 @@ from page_client import PageClient
 from viser.infra import _infra
 
 from fvs_dashboard import config, guard
+from fvs_dashboard.board import Board, Controller
 from fvs_dashboard.page import Page
+from fvs_dashboard.picture import Picture
 from fvs_dashboard.scene import Arm
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.kinds.pose import Pose
 from fvs_sim_node.robot import ROBOTS, robot_description
 
 
@@ -63,6 +67,50 @@ def test_no_other_page_may_hold_this_one_in_a_frame(page):
 def test_a_request_for_a_public_tunnel_is_refused(page, monkeypatch):
     monkeypatch.setattr("viser._viser.ViserTunnel", lambda *_: pytest.fail("a tunnel"))
     assert page._server.request_share_url() is None
+
+
+# --- a camera on the arm ---
+
+
+def soon(condition):
+    end_s = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.05)
+
+
+def test_a_camera_on_the_arm_is_dragged_to_where_it_shall_see_the_object():
+    # The camera is level at (2, 0, 0.4) and looks along -x, as long as its pose is not known.
+    kind, actions = Pose(), []
+    values = config.DashboardConfig(port=0, feature="pose", camera_mount="arm")
+    page = Page(values, UR_JOINT_NAMES, actions.append)
+    client = PageClient(page.address)
+
+    def drawn(name, position_m):
+        return np.allclose(client.positions.get(name, np.inf), position_m)
+
+    try:
+        board, facing = Board(n_joints=6), np.diag([1.0, -1.0, -1.0])
+        seen = kind.of_body(np.array([0.1, 0.0, 0.5]), facing)
+        for name in ("feature", "object"):
+            board.note(name, 0.0, seen)
+        target = {"target_x_m": 0.0, "target_y_m": 0.2, "target_z_m": 0.3}
+        target |= {"target_qw": 0.0, "target_qx": 1.0, "target_qy": 0.0, "target_qz": 0.0}
+        status = {name: str(number) for name, number in target.items()}
+        board.add_status(0.0, Controller(status, ""))
+        page.update(board, Picture(), 0.0)
+        soon(lambda: drawn("/object", [1.5, 0.1, 0.4]))
+        # It goes on by 0.2 m, 0.1 m to its right, which is y, and 0.2 m up.
+        soon(lambda: drawn("/target", [1.8, 0.1, 0.6]))
+        client.drag("/target", (1.5, 0.1, 0.1))  # upright, below the object
+        soon(lambda: actions)
+        assert actions[0].name == "target"
+        position_m, wxyz = np.split(np.array(actions[0].value), [3])
+        np.testing.assert_allclose(position_m, [0.0, 0.0, 0.3], atol=1e-9)
+        np.testing.assert_allclose(np.abs(wxyz), 0.5, atol=1e-9)  # as the object is in the room
+    finally:
+        client.close()
+        page.close()
 
 
 # --- the robot's model, as a driver publishes it ---

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from cases import each
 
+from fvs_controller_node.config import default_values
+from fvs_controller_node.inbox import FEATURE
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.references import Reference, References
 from fvs_dashboard import markup
@@ -29,6 +31,16 @@ def test_what_comes_from_outside_is_no_markup():
     ):
         assert "<b>x" not in html
         assert "&lt;b&gt;x" in html
+
+
+def test_what_a_camera_on_the_arm_sees_is_one_input():
+    loop, board, name = ServoLoop(default_values(camera_mount="arm")), Board(6), NAMES[1]
+    loop.supervisor.inputs.add(FEATURE, 0.0, np.ones(3))
+    status = {key: str(value) for key, value in loop.status_values(0.5).items()}
+    board.add_status(0.5, Controller({**status, "state": "READY"}, ""))
+    html = markup.inputs_html(board, name, name, 0.5)
+    assert "Seen</span> 500 ms ago" in html
+    assert "Object" not in html
 
 
 def test_references_are_listed_whatever_stands_in_their_file(tmp_path):
