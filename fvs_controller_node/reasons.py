@@ -43,7 +43,7 @@ class Reason(Enum):
     """
 
     SERVOING = (State.SERVOING, Stop.NONE, False, "servoing, {error} to go{remark}")
-    SETTLED = (State.SERVOING, Stop.NONE, False, "on target, {error} off{remark}")
+    SETTLED = (State.SERVOING, Stop.NONE, False, "on target, {error} off")
     READY = (State.READY, Stop.RAMP, False, "ready", "call ~/start to move")
 
     MISSING = _holds("no {name} yet ({count} of {wanted} messages)", "{hint}")
