@@ -66,8 +66,9 @@ def banner_html(controller: Controller) -> str:
     title = _TITLES.get(controller.state, controller.state.capitalize())
     words = controller.sentence.replace(f" ({controller.values.get('refused_target')})", "")
     sentence, _, hint = words.partition("; ")
-    if controller.reason in ("SERVOING", "SETTLED"):  # title and distance say all but a remark
-        sentence, hint = words.partition(" (")[2].removesuffix(")"), ""
+    if controller.reason in ("SERVOING", "SETTLED"):  # title and distance say all but remarks
+        said, _, remark = words.partition(" (")
+        sentence, hint = remark.removesuffix(")"), said.partition("; ")[2]
         title = "On target" if controller.reason == "SETTLED" else title
     sentence, hint = escape(in_words(sentence)), escape(in_words(hint))
     error, angle_rad = distance(controller.error_m), controller.number("angle_rad")

@@ -62,6 +62,10 @@ def test_references_are_listed_whatever_stands_in_their_file(tmp_path):
 def test_the_banner_says_way_and_angle_of_a_pose():
     status = Controller({"error_m": "0.02", "way_m": "0.0021", "angle_rad": "0.01"}, "")
     assert "2.10 mm, 0.57°" in markup.banner_html(status)
+    servoing = {"state": "SERVOING", "reason": "SERVOING"}
+    sentence = "servoing, 2 mm to go; slowed, it is at an edge (no start (yet); no limits)"
+    html = markup.banner_html(Controller(servoing, sentence))
+    assert 'title="no start (yet); no limits. slowed, it is at an edge"' in html
 
 
 # --- who is let in ---
