@@ -61,7 +61,8 @@ def collect(simulation: Simulation, config: CollectorConfig, late_s: float = 0.0
         run.joint_states(out.time_s, out.time_s, out.joints_rad)
         simulation.command(run.tick(out.time_s, period_s))
     names = simulation.world.joint_names
-    return data_set_of(run.samples, joint_names=names, feature=config.feature)
+    seen = {"feature": config.feature, "camera_mount": config.camera_mount}
+    return data_set_of(run.samples, joint_names=names, **seen)
 
 
 def learn(arm: str, duration_s: float) -> tuple[TrainedModel, float]:

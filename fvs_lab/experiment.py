@@ -195,7 +195,7 @@ class Experiment:
     names: Mapping[str, Any]
     figures: Callable[[Results], Iterable[Drawn]] = lambda _: ()
     #: The shipped model that it uses; empty for none.
-    model: str = Ball.model
+    model: str = Ball().model
 
     def run(self, context: Context) -> dict[str, Any]:
         """Measure, judge, tabulate and draw: a report for :func:`fvs_lab.report.write_report`."""

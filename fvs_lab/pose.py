@@ -136,4 +136,4 @@ TABLES = (
     ),
     lab.Table("rest", ("body",), ("rest_m:half", "rest_deg:half", "settled:of"), {"part": "rest"}),
 )
-EXPERIMENT = lab.Experiment("pose", measure, claims, TABLES, globals(), model=Pose.model)
+EXPERIMENT = lab.Experiment("pose", measure, claims, TABLES, globals(), model=Pose().model)

@@ -581,5 +581,5 @@ def figures(runs: Results) -> Iterator[lab.Drawn]:
 
 
 EXPERIMENT = lab.Experiment(
-    "relative", measure, claims, TABLES, globals(), figures, model=Pose.model
+    "relative", measure, claims, TABLES, globals(), figures, model=Pose().model
 )

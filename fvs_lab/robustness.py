@@ -176,7 +176,7 @@ EXPERIMENTS = {
         claims,
         TABLES,
         {**globals(), "kind": worlds},
-        model=KINDS[worlds.feature].model,
+        model=KINDS[worlds.feature]().model,
     )
     for worlds in (EVERYDAY, HARSH, replace(EVERYDAY, name="tags", seed=306, feature=Pose.name))
 }

@@ -75,7 +75,7 @@ class KindTopics(NamedTuple):
 
     tool: Topic  #: what rides on the arm, as measured
     target: Topic
-    object: Topic  #: what targets may be relative to, as measured
+    object: Topic  #: what stands in the room, as measured
     sliding: Topic  #: the law's sliding variable
     truth: Topic  #: a simulator's truth, for scoring
     object_truth: Topic  #: the same of the object
@@ -100,13 +100,14 @@ def kind_topics(
         Message type of the sliding variable.
     """
     name, description = tool
+    sources, users = (SIM, DETECTOR), (SIM, ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DASHBOARD)
     return KindTopics(
         tool=Topic(
             name,
             message_type,
             description,
-            (SIM, DETECTOR),
-            (SIM, ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DASHBOARD),
+            sources,
+            users,
             also_from="your own detector",
         ),
         target=Topic(
@@ -123,8 +124,8 @@ def kind_topics(
             seen_object[0],
             message_type,
             seen_object[1],
-            (SIM, DETECTOR),
-            (CONTROLLER, DASHBOARD),
+            sources,
+            users,
             also_from="your own detector",
         ),
         sliding=Topic(
@@ -146,6 +147,7 @@ def kind_topics(
             message_type,
             f"The true `{seen_object[0]}`, for scoring.",
             (SIM,),
+            (DEMO,),
         ),
     )
 

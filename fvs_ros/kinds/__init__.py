@@ -41,7 +41,7 @@ class MountConfig(Parameters):
 
 
 @dataclass(frozen=True)
-class KindConfig(KindParameters, MountConfig):
+class KindConfig(MountConfig, KindParameters):
     """What is servoed."""
 
     feature: str = parameter("ball", "kind of feature that is servoed", choices=tuple(KINDS))

@@ -15,7 +15,8 @@ from fvs_ros.topics import kind_topics
 class Ball(Kind):
     """z is the ball's centre, m, (3,)."""
 
-    name, what, model = "ball", "ball", "models/ur5_front.npz"
+    name = what = "ball"
+    models = ("models/ur5_front.npz", "models/ur5_hand.npz")
     axes = ("x", "y", "z")
     topics = kind_topics(
         "geometry_msgs/msg/PointStamped",
@@ -29,7 +30,11 @@ class Ball(Kind):
             "The desired ball position, m, in the frame of `ball_position`, or from the object, "
             "along the camera's axes (`frame_id` `object`).",
         ),
-        ("object_position", "The same of an object, for targets relative to it; optional."),
+        (
+            "object_position",
+            "The same of an object, which a camera on the arm servos; else optional, for targets "
+            "relative to it.",
+        ),
         "geometry_msgs/msg/Vector3Stamped",
     )
 

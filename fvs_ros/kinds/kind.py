@@ -31,8 +31,9 @@ class Kind(Parameters):
         Value of the parameter ``feature``.
     what : str
         What the camera looks for, in a word.
-    model : str
-        Trained model of the simulated arm that comes with the package.
+    models : tuple of str
+        Trained models of the simulated arm that come with the package: before a fixed camera, and
+        with the camera on the arm.
     topics : KindTopics
         Where it is published.
     columns : tuple of str
@@ -52,7 +53,8 @@ class Kind(Parameters):
         ``arm``, it sees what stands in the room.
     """
 
-    name = what = model = ""
+    name = what = ""
+    models: ClassVar[tuple[str, str]] = ("", "")
     topics: ClassVar[KindTopics]
     columns: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     axes: ClassVar[tuple[str, ...]] = ()
@@ -66,6 +68,11 @@ class Kind(Parameters):
     def on_arm(self) -> bool:
         """Whether the camera is on the arm."""
         return self.camera_mount == ON_ARM
+
+    @property
+    def model(self) -> str:
+        """The model that comes with the package for the camera's mount."""
+        return self.models[self.on_arm]
 
     @property
     def flat(self) -> bool:

@@ -39,7 +39,8 @@ _HALF_EDGE_M = 0.05
 class Pose(Kind):
     """The pose of a tag; ``lever_arm_m`` is L."""
 
-    name, what, model = "pose", "tag", "models/ur5_front_pose.npz"
+    name, what = "pose", "tag"
+    models = ("models/ur5_front_pose.npz", "models/ur5_hand_pose.npz")
     columns = ("x", "y", "z", "qx", "qy", "qz", "qw")
     axes = ("x", "y", "z", "rx", "ry", "rz")
     outliers = 0.05  # its noise depends on the view
@@ -56,7 +57,11 @@ class Pose(Kind):
             "The desired pose of the tag, in the frame of `tool_pose`, or in that of the object "
             "(`frame_id` `object`).",
         ),
-        ("object_pose", "The same of an object, for targets relative to it; optional."),
+        (
+            "object_pose",
+            "The same of an object, which a camera on the arm servos; else optional, for targets "
+            "relative to it.",
+        ),
     )
 
     lever_arm_m: float = parameter(

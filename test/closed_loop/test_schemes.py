@@ -156,7 +156,7 @@ def test_from_a_third_of_a_metre_the_ball_is_on_target_in_time(latency_s):
     estimator = make_estimator("rbf", simulation)
     loop = ClosedLoop(simulation, estimator, {"max_joint_velocity_rad_s": 1.0})
     loop.run(0.3)
-    trained = load_model(find_file(Ball.model))
+    trained = load_model(find_file(Ball().model))
     for _ in range(2):
         here_m = simulation.true_pose().position_m
         target_m = trained.target(here_m, 0.3, rng)

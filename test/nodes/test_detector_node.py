@@ -14,6 +14,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from fvs_ros import ros, topics
 from fvs_ros.camera import Intrinsics
 from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.kind import MOUNTS
 from fvs_ros.kinds.pose import Pose
 
 NODE = "fvs_detector_node.node"
@@ -166,11 +167,13 @@ def test_a_file_of_all_nodes_may_hold_no_slip_and_one_of_a_node_nothing_of_other
         assert "unknown parameter 'tf_prefix'" in ros_test.output(detector)
 
 
-def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
-    own = {"feature": "pose", "tag_id": 7, "tag_size_m": 0.06}
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test, mount):
+    kind = Pose(camera_mount=mount)
+    own = {"feature": "pose", "tag_id": 7, "tag_size_m": 0.06, "camera_mount": mount}
     detector = start_with_file(ros_test, tf_prefix="left_", **own)
     watched, tag_m = Watched(ros_test), np.array([0.02, 0.01, 0.4])
-    poses = ros_test.collect(PoseStamped, Pose.topics.tool.name)
+    poses = ros_test.collect(PoseStamped, kind.feature.name)
     rotation = cv2.Rodrigues(np.array([0.5, 0.0, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
     camera = PlayedCamera(ros_test)
     camera.depth_m, camera.calibrated = None, False
@@ -178,7 +181,7 @@ def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
     camera.calibrated = True
     watched.wait_for("LOST", "tag 7 of APRILTAG_36h11 is not in view")
     camera.rgb = drawn_tags.draw([(7, rotation, tag_m)], QVGA)
-    watched.wait_for("TRACKING", "tool_pose is published")
+    watched.wait_for("TRACKING", f"{kind.feature.name} is published")
     ros_test.spin_until(lambda: len(poses) > 3, what="poses")
     tag = Pose().read(poses[-1])
     assert np.linalg.norm(tag[:3] - tag_m) < 5e-3

@@ -137,7 +137,7 @@ def test_another_method_is_chosen_while_the_controller_rests_and_one_without_mod
 
 
 def test_whoever_comes_late_hears_of_the_chain_and_a_doubtful_model_says_so(ros_test):
-    trained, path = load_model(find_file(Ball.model)), ros_test.folder / "doubtful.npz"
+    trained, path = load_model(find_file(Ball().model)), ros_test.folder / "doubtful.npz"
     notes = ["the ball does not move on a rigid chain", 7]
     save_model(path, replace(trained, provenance={**trained.provenance, "notes": notes}))
     robot = PlayedRobot(ros_test)

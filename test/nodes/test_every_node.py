@@ -50,7 +50,11 @@ AT_TIMES = {
     topics.COMMANDS,
     topics.POSITION_COMMANDS,
     topics.TF_STATIC,
-    *(topic for kind in KINDS.values() for topic in (kind.topics.tool, kind.topics.object)),
+    *(
+        topic
+        for kind in KINDS.values()
+        for topic in (kind.topics.tool, kind.topics.object, kind.topics.object_truth)
+    ),
 }
 TOPICS = (*topics.COMMON, *(topic for kind in KINDS.values() for topic in kind.topics))
 #: Time in which what is not declared would show.

@@ -1,5 +1,6 @@
 """Simulated time is lock step: a busy machine makes it slower, never wrong."""
 
+import json
 import signal
 
 import numpy as np
@@ -45,6 +46,17 @@ def test_the_simulator_waits_for_a_command_to_each_joint_state_and_for_nodes_far
         # From a node that responds no more, nothing is awaited.
         count = len(states)
         ros_test.spin_until(lambda n=count: len(states) > n + 100, what="the simulator to go on")
+
+
+def test_the_demo_moves_a_camera_on_the_arm_to_where_it_shall_see_a_tag(ros_test):
+    few = "targets:=1", "target_s:=2.0", "image_rate_hz:=15.0", "output_dir:=out"
+    on_arm = "camera_mount:=arm", "feature:=pose", "simulated_time:=true", "use_sim_time:=true"
+    arguments = (word for value in (*few, *on_arm) for word in ("-p", value))
+    process = ros_test.start("fvs_tools.launcher", "demo", *arguments)
+    assert ros_test.wait(process, 120.0) == 0, ros_test.output(process)
+    (result,) = json.loads((ros_test.folder / "out" / "results.json").read_text())
+    assert result["start_distance_m"] > 0.1
+    assert result["final_rms_m"] < 0.001
 
 
 def test_the_collector_answers_each_joint_state_once_and_ctrl_c_leaves_zeros(ros_test):
