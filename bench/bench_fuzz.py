@@ -51,6 +51,7 @@ from fvs_controller_node.relation import OBJECT_FRAME
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.interface import POSITION, VELOCITY
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.kinds.kind import FIXED, MOUNTS
 from fvs_ros.limits import URDF_LIMITS
 
 CHUNK_TICKS = 20_000
@@ -143,6 +144,7 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
         joints=st.integers(4, MOST_JOINTS),
         jerk=st.sampled_from([0.0, 0.0, 60.0, 500.0]),
         interface=st.sampled_from([VELOCITY, VELOCITY, POSITION]),
+        mount=st.sampled_from(MOUNTS),
         at_work=OFTEN,
     )
     def begin(
@@ -152,11 +154,12 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
         at_work=False,
         jerk=0.0,
         interface=VELOCITY,
+        mount=FIXED,
         **world,
     ):
         """Make the world, of the plainest law by default, at rest or at work."""
         parameters = {"law": law, "autostart": autostart, "max_joint_jerk_rad_s3": jerk}
-        parameters["command_interface"] = interface
+        parameters |= {"command_interface": interface, "camera_mount": mount}
         JudgedWorld.__init__(self, parameters, **world)
         if at_work:
             self.work()
@@ -229,10 +232,11 @@ class Machine(RuleBasedStateMachine, JudgedWorld):
 
     @rule(way_m=vector(N_AXES, 0.2), ticks=TICKS)
     def relate(self, way_m, ticks):
-        """Put an object there, and send a target relative to it."""
+        """Put an object there, unless the ball is one, and send a target relative to it."""
         self.object_m = self.ball()
         self.run(FRESH_TICKS)
-        self.send_target(way_m, OBJECT_FRAME)
+        own = self.on_arm
+        self.send_target(-np.add(self.ball(), way_m) if own else way_m, OBJECT_FRAME)
         self.start()
         self.run(ticks)
 

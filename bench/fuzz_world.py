@@ -112,6 +112,8 @@ class World:
         self.seen_share = 1.0  # of the ball's motion, that the camera shows
         self.estimate = self.true
         self._images = deque(maxlen=5)  # the camera's latency is four ticks
+        #: A camera on the arm has no object beside the ball.
+        self.on_arm = self.node._kind.on_arm
         self.object_m = None  # none is there
         self.relative = False  # whether the target is relative to it
         self._beats = 0
@@ -258,10 +260,12 @@ class World:
         message = ros.to_feature(stamp_s, frame, Ball(), ball_m)
         value = _read(ros.from_feature, message, Ball(), CAMERA_FRAME, BALL)
         self._note(BALL, value, ros.from_stamp(message.header.stamp))
-        self.node.hears[BALL](message)
+        self.node.hears[self.node._kind.feature.name](message)
 
     def send_object(self, object_m, stamp_s, frame=CAMERA_FRAME):
         """Send an object's position, m."""
+        if self.on_arm:
+            return
         message = ros.to_feature(stamp_s, frame, Ball(), object_m)
         value = _read(ros.from_feature, message, Ball(), CAMERA_FRAME, OBJECT)
         self._note(OBJECT, value, ros.from_stamp(message.header.stamp))
@@ -281,7 +285,7 @@ class World:
 
     def send_chain(self, message):
         """Send a kinematic chain: only one that cannot be read counts."""
-        if _read(ros.from_chain, message, self.joints.size) is None:
+        if _read(ros.from_chain, message, self.joints.size, self.node._kind) is None:
             self._note(JACOBIAN, None)
         self.node._on_chain(message)
 
@@ -298,7 +302,7 @@ class World:
         same = np.array_equal(before, self.target_m)
         keep("a wrong target changes nothing", allowed or same, target_m, frame)
         if not self.node._refusal:
-            self.relative = frame == OBJECT_FRAME
+            self.relative = frame == OBJECT_FRAME and not self.on_arm
 
     @property
     def target_m(self):

@@ -20,6 +20,7 @@ from fvs_ros.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.kind import MOUNTS
 from fvs_ros.topics import message_class
 from fvs_ros.vectors import all_finite
 
@@ -160,18 +161,23 @@ def to_chain(chain: SerialChain) -> Float64MultiArray:
 
 
 def from_chain(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> SerialChain:
-    """Chain of a message as :func:`to_chain` makes it; a ``MessageError`` if it is none."""
+    """Chain of a message as :func:`to_chain` makes it.
+
+    A ``MessageError`` if it is none, or one of another ``camera_mount``.
+    """
     rows = joints + kind.numbers // 3
     matrix = _from_matrix(message, "kinematic_chain", rows, _CHAIN_COLUMNS)
     joint, carried = matrix[:joints], kind.nearest(matrix[joints:, :3].ravel())
     try:
         reference_rad, prismatic = joint[:, 6:].T
         lens, on_arm = matrix[joints, 3:5], bool(matrix[joints, 5])
+        if on_arm != kind.on_arm:
+            raise ValueError(f"camera_mount {MOUNTS[on_arm]}, expected {kind.camera_mount}")
         return SerialChain(
             joint[:, :3], joint[:, 3:6], carried, reference_rad, prismatic, lens, on_arm
         )
     except ValueError as error:
-        raise MessageError(f"kinematic_chain is no chain: {error}") from error
+        raise MessageError(f"kinematic_chain cannot be used: {error}") from error
 
 
 def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:

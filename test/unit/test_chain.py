@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from fvs_ros import ros
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
+from fvs_ros.kinds.ball import Ball
 
 
 def random_chain(seed=0, joints=6, features=3, on_arm=False):
@@ -64,10 +65,13 @@ def test_a_camera_on_the_arm_sees_the_room_move_the_other_way():
 @each("on_arm", [False, True])
 def test_a_chain_comes_back_from_its_message(on_arm):
     chain = random_chain(on_arm=on_arm)
-    back = ros.from_chain(ros.to_chain(chain), 6)
+    message, kinds = ros.to_chain(chain), (Ball(), Ball(camera_mount="arm"))
+    back = ros.from_chain(message, 6, kinds[on_arm])
     for name in CHAIN_SHAPES:
         np.testing.assert_allclose(getattr(back, name), getattr(chain, name), atol=1e-15)
     assert back.on_arm == on_arm
+    with pytest.raises(ros.MessageError, match="cannot be used: camera_mount"):
+        ros.from_chain(message, 6, kinds[not on_arm])
 
 
 @each("name", CHAIN_SHAPES)
