@@ -69,13 +69,13 @@ class InView:
         low = np.append((-self._limits - view) / _APPROACH_S, np.minimum(low, velocity))
         high = np.append((self._limits - view) / _APPROACH_S, np.maximum(high, velocity))
         wanted = rows @ velocity
-        allowed, kept = np.clip(wanted, low, high), np.zeros(len(rows), dtype=bool)
-        limited = velocity
+        limited, allowed, kept = velocity, wanted.copy(), np.zeros(len(rows), dtype=bool)
         for _ in rows:
             rates = rows @ limited
             broken = ((rates < low) | (rates > high)) & ~kept
             if not broken.any():
                 break
+            allowed[broken] = np.clip(rates, low, high)[broken]
             kept |= broken
             of_kept = rows[kept]
             square = of_kept @ of_kept.T + _DAMPING * np.eye(len(of_kept))
