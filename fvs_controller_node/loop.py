@@ -336,6 +336,7 @@ class ServoLoop:
             z=z,
             jacobian=self._jacobian,
             pending_rad=self._drive_lag.pending_rad,
+            drift_m_s=self._drift_m_s,
             problem=self.track.problem if z is None else "",
             verdict=self._agreement.verdict,
             not_following=self._following.fault,

@@ -43,6 +43,7 @@ class Present(NamedTuple):
     problem: str = ""  #: why there is no feature
     verdict: Verdict | None = None  #: on seen and predicted motion; None while too little moved
     not_following: TrackingFault | None = None  #: the joint that does not follow its command
+    drift_m_s: np.ndarray | None = None  #: the feature's own velocity, (d,); None at rest
 
 
 class Command(NamedTuple):
@@ -270,7 +271,14 @@ class Supervisor:
         if not config.kind.on_arm or present.z is None or target is None:
             return None
         assert present.jacobian is not None
-        return config.barrier(config.kind, present.z, target, present.jacobian, present.pending_rad)
+        return config.barrier(
+            config.kind,
+            present.z,
+            target,
+            present.jacobian,
+            present.pending_rad,
+            present.drift_m_s,
+        )
 
     @property
     def _remark(self) -> str:

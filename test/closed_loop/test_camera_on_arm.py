@@ -65,7 +65,7 @@ def test_it_reaches_views_of_an_object_that_was_put_elsewhere(feature):
     target = view_from(loop)
     loop.set_target(target)
     errors = errors_m(loop, target, 2.0)
-    assert settling_s(loop, errors) < 0.6
+    assert settling_s(loop, errors) < 0.65  # near an edge of the view at first
     assert np.linalg.norm(errors[-60:].mean(axis=0)) < 2e-4
     assert loop.loop.supervisor.last.state is State.SERVOING
 

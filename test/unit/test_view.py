@@ -91,6 +91,11 @@ def test_what_is_outside_turns_back_and_a_target_may_be_nearer_to_a_bound_than_t
     # Motion that is still to come counts.
     coming = wide.barrier(kind, near_target, near_target, jacobian, np.array([0.0, 0.0, -0.02]))
     assert coming.nearest(still, np.ones(3))[1] == "too near"
+    # So does the object's own motion: to follow it is not to lose it.
+    away_m_s = np.array([0.0, 0.0, 0.1])
+    followed = wide.barrier(kind, near_target, near_target, jacobian, still, away_m_s)
+    assert followed.nearest(-away_m_s, np.ones(3))[1] == ""
+    assert np.array_equal(followed.shortened(-away_m_s), -away_m_s)
 
 
 def test_a_view_that_ends_before_it_begins_is_refused():
