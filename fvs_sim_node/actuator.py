@@ -39,6 +39,7 @@ class Actuator:
         self._pending: deque[tuple[int, np.ndarray]] = deque()
         self._command = self._in_effect = zeros
         self._ramped = self._lagged = self._velocity = zeros
+        self.play_rad = zeros  #: of the motors ahead of their joints, (n,)
 
     def command(self, velocity_rad_s: np.ndarray) -> None:
         """Set the command that holds until the next one, rad/s, shape (n,)."""
@@ -71,7 +72,10 @@ class Actuator:
         if stopped.any():
             self._ramped = np.where(stopped, self._velocity, self._ramped)
             self._lagged = np.where(stopped, self._velocity, self._lagged)
-        return self._velocity
+        half = 0.5 * config.backlash_rad
+        before = self.play_rad
+        self.play_rad = _within(before + self._dt_s * self._velocity, -half, half)
+        return self._velocity - (self.play_rad - before) / self._dt_s
 
     def _share_of(self, lag_s: float) -> float:
         """Share of a first-order step response that one step of the physics brings."""

@@ -136,8 +136,14 @@ class SimConfig(TagsConfig, CommandInterface):
     position_reach_s: float = 0.5
     #: A further lag of the joints, behind that of the drives.
     joint_lag_s: float = 0.0
-    #: Standard deviation of white noise on each joint angle that is reported.
+    #: Play between a motor, whose angle is reported, and its joint.
+    backlash_rad: float = 0.0
+    #: A position drive stops this far short of its goal.
+    stops_short_rad: float = 0.0
+    #: Standard deviation of white noise on each joint angle that is reported, and the steps of an
+    #: encoder per turn; 0: infinitely many.
     encoder_noise_rad: float = 0.0
+    encoder_steps: int = 0
     #: Relative error, positive for too large, of the reported focal length and of the depths.
     focal_error: float = 0.0
     depth_error: float = 0.0

@@ -71,7 +71,7 @@ ROBOTS = {
     "panda": _example("panda_description/urdf/panda.urdf", "panda_hand_tcp"),
     "xarm7": _example("xarm_description/urdf/xarm7.urdf", "link_eef"),
     "jaco": _example("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
-    "so101": _example("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
+    "so101": Robot("robots/so101.urdf", "tool0"),
     "iiwa": Robot("pybullet_data/kuka_iiwa/model.urdf", "lbr_iiwa_link_7"),
     # The coloured one has red parts.
     "scara": Robot("robots/scara.urdf", "tool0"),

@@ -233,8 +233,19 @@ class Simulation:
             return
         before = self._wanted if self._sought is None else self._sought
         speed = (self._wanted - before) * self.config.joint_state_rate_hz
-        self._actuator.command(speed + self.config.position_gain_1_s * (before - self._joints))
+        missing, short = before - self._encoders(), self.config.stops_short_rad
+        if short:
+            speed = np.where(np.abs(missing) > short, speed, 0.0)
+            missing -= np.clip(missing, -short, short)
+        self._actuator.command(speed + self.config.position_gain_1_s * missing)
         self._sought = self._wanted
+
+    def _encoders(self) -> np.ndarray:
+        """The motors' angles, in the steps of their encoders, rad, (n,)."""
+        angles, steps = self._joints + self._actuator.play_rad, self.config.encoder_steps
+        if steps:
+            angles = np.round(angles * (steps / (2.0 * np.pi))) * (2.0 * np.pi / steps)
+        return angles
 
     def advance(self) -> SimStep:
         """Advance by one joint-state period."""
@@ -254,7 +265,7 @@ class Simulation:
             released.append(self._pending.popleft()[1])
         deviation_rad = self.config.encoder_noise_rad
         noise = self._encoder_rng.normal(scale=deviation_rad, size=self._joints.size)
-        return SimStep(now_s, self._joints + noise, self._velocities.copy(), tuple(released))
+        return SimStep(now_s, self._encoders() + noise, self._velocities.copy(), tuple(released))
 
     # --------------------------------------------------------------------- eyes
     def _expose_if_due(self) -> None:

@@ -103,6 +103,29 @@ def test_a_position_drive_follows_and_refuses_what_is_far_away(make):
     np.testing.assert_allclose(simulation.joints_rad, start + travel, atol=1e-3)
 
 
+def test_a_servo_has_play_stops_short_and_reports_whole_steps(make):
+    play, short, step = 0.02, 0.01, 2.0 * np.pi / 4096
+    simulation = make(
+        rendered=False,
+        robot="so101",
+        command_interface="position",
+        backlash_rad=play,
+        stops_short_rad=short,
+        encoder_steps=4096,
+    )
+    start = simulation.joints_rad
+    for goal, motor in ((0.2, 0.2 - short), (0.195, 0.2 - short), (0.15, 0.15 + short)):
+        for _ in range(250):
+            assert simulation.command(start + goal) is None
+            out = simulation.advance()
+        back = play if goal == 0.15 else 0.0
+        np.testing.assert_allclose(out.joints_rad - start, motor, atol=step)
+        np.testing.assert_allclose(
+            simulation.joints_rad - start, motor - 0.5 * play + back, atol=step
+        )
+        np.testing.assert_allclose(out.joints_rad / step, np.round(out.joints_rad / step))
+
+
 @each("rendered", [True, False])
 def test_a_ball_out_of_view_or_behind_a_hand_is_lost_and_found_again(make, rendered):
     simulation = make(rendered=rendered)
