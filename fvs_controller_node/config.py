@@ -48,6 +48,13 @@ class ControllerConfig(CommandInterface):
         "Whether the object that a camera on the arm sees moves by itself and is followed; then "
         "an image that does not follow the arm holds it only when there is no progress.",
     )
+    joint_backlash_rad: float = live_parameter(
+        0.0,
+        "Play between a motor, whose angle joint_states has, and its joint, rad; 0.017 for hobby "
+        "servos.",
+        0.0,
+        0.2,
+    )
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from fvs_controller_node.target_motion import TargetMotion, on_own_clock
 from fvs_ros.chain import SerialChain
 from fvs_ros.filter import Image
 from fvs_ros.following import LONGEST_LAG_S, Following
-from fvs_ros.interface import POSITION
+from fvs_ros.interface import POSITION, Backlash
 from fvs_ros.limits import tick_s
 from fvs_ros.timeline import repeats
 from fvs_ros.track import Track
@@ -63,6 +63,7 @@ class ServoLoop:
         self.kind = self.supervisor.config.kind
         self.track, self._agreement = Track(self.kind), Agreement()
         self._drive_lag, self._following = DriveLag(), Following()
+        self._backlash, self._backlash_rad = Backlash(), 0.0
         self._lens = Lens(self.kind)
         self._relation = Relation(self.kind, self.supervisor.goal, self._lens)
         self._teacher = Teacher(self.kind, self._lens)
@@ -89,6 +90,7 @@ class ServoLoop:
         self.supervisor.configure(SupervisorConfig.from_values(values))
         self.law, self._feeds_forward = law, own.target_feed_forward
         self._object_moves = own.object_moves and self.kind.on_arm
+        self._backlash_rad = own.joint_backlash_rad
         # What is learned is the lag of velocities; a position drive may take longer.
         self._least_lag_s = LONGEST_LAG_S if own.command_interface == POSITION else 0.0
         self._following.restart()  # a range may count for another length now
@@ -114,6 +116,7 @@ class ServoLoop:
             self._following.restart()
         self._stamp_s = stamp_s
         compare = servoing and inputs.full_speed
+        joints = self._backlash.joints(joints, self._backlash_rad)
         self._joints = self._drive_lag.add(stamp_s, velocity, joints, compare)
         if self._chain is not None:
             self._jacobian = self.kind.moved_by(*self._chain.motion(self._joints))

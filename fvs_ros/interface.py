@@ -34,6 +34,21 @@ class CommandInterface(Parameters):
     )
 
 
+class Backlash:
+    """The joints behind motors with play: they move once it is used up."""
+
+    def __init__(self) -> None:
+        self._joints: np.ndarray | None = None
+
+    def joints(self, motors_rad: np.ndarray, backlash_rad: float) -> np.ndarray:
+        """Joint positions, (n,), from those of the motors now; at first, play is half used up."""
+        half = 0.5 * backlash_rad
+        if self._joints is None or not half:
+            self._joints = motors_rad
+        self._joints = np.clip(self._joints, motors_rad - half, motors_rad + half)
+        return self._joints
+
+
 class PositionPath:
     """Joint positions that follow velocity commands, near the joints and within their range."""
 
