@@ -14,7 +14,7 @@ STEPS = 4096
 POOR = {"backlash_rad": 0.0175, "stops_short_rad": 0.0087, "encoder_steps": STEPS}
 
 
-def test_play_that_the_controller_knows_makes_no_arm_hunt():
+def test_play_that_the_controller_knows_holds_no_arm():
     config = SimConfig(
         **POOR,
         robot="so101",
@@ -35,11 +35,11 @@ def test_play_that_the_controller_knows_makes_no_arm_hunt():
         loop.run(0.4)
         loop.set_target(target)
         loop.run(3.0)
-        motors, errors_m = [], []
+        joints_rad, errors_m = [], []
         for _ in range(125):
             command = loop.tick()
-            motors.append(simulation.joints_rad)
+            joints_rad.append(simulation.joints_rad)
             errors_m.append(np.linalg.norm(loop.true_feature - target))
     assert command.reason is Reason.SETTLED
     assert max(errors_m) < 0.002
-    assert np.ptp(motors, axis=0).max() < 2.0 * 2.0 * np.pi / STEPS
+    assert np.ptp(joints_rad, axis=0).max() < 2.0 * 2.0 * np.pi / STEPS
