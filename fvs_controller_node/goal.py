@@ -142,6 +142,7 @@ class Goal:
         self.moving = False  #: whether the target that was set last continues a motion
         self.target: np.ndarray | None = None  #: the target now, (m,)
         self.speed = 1.0  #: share of the speed limits that this target may use
+        self.reference = ""  #: name of the taught reference that the target is
         self.velocity_m_s: np.ndarray | None = None  #: the target's, (d,); None unless it moves
         self.z: np.ndarray | None = None  #: the feature now, (m,)
         #: Feature and target that the error was found for.

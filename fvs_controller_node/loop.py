@@ -245,7 +245,9 @@ class ServoLoop:
         self._relation.wanted = wanted
         monitor = self.supervisor.inputs[OBJECT]
         monitor.needed, monitor.spare_s = wanted is not None, 0.0
-        self.supervisor.goal.speed = 1.0
+        if self._teacher.object.rests:  # until the next image, should one come
+            monitor.spare_s = self.supervisor.config.object_may_be_hidden_s
+        self.supervisor.goal.speed, self.supervisor.goal.reference = 1.0, ""
 
     def teach(self, now_s: float) -> Reference:
         """Where the tool is at rest; a ``ValueError`` says why that is not known well."""
@@ -263,11 +265,11 @@ class ServoLoop:
         frame = OBJECT_FRAME if of_object else config.feature_frame
         return Reference(z, frame, deviation_m=deviation_m)
 
-    def go_to(self, reference: Reference) -> tuple[bool, str]:
-        """Make a taught reference the target, at its speed."""
+    def go_to(self, reference: Reference, name: str = "") -> tuple[bool, str]:
+        """Make a taught reference the target, at its speed; its name is said on the status."""
         accepted, text = self.add_target(reference.z, reference.frame)
         if accepted:
-            self.supervisor.goal.speed = reference.speed
+            self.supervisor.goal.speed, self.supervisor.goal.reference = reference.speed, name
             self.supervisor.goal.progress.restart()  # it is settled anew, however near
         return accepted, text
 

@@ -203,7 +203,7 @@ class ControllerNode(ros.FvsNode):
             reference = self._references().get(name)
         except (ValueError, OSError) as error:
             return False, f"target refused: {error}"
-        accepted, text = self._loop.go_to(reference)
+        accepted, text = self._loop.go_to(reference, name)
         return accepted, f"{name}: {text}"
 
     def _take_limits(self, values: dict[str, Any]) -> None:

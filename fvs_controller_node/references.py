@@ -91,6 +91,11 @@ class References:
         before, speed = content.get(name), reference.speed
         if isinstance(before, dict) and _SPEED in before:
             speed = _speed(before)  # one that is refused must not become the full one
+        if isinstance(before, dict) and before.get(_FRAME, reference.frame) != reference.frame:
+            raise ValueError(
+                f"{name} is taught in the frame {before[_FRAME]!s:.80}, and this would be in "
+                f"{reference.frame}: is the object in view? Else take another name"
+            )
         numbers = self._kind.columns_of(reference.z)
         content[name] = {
             **self._origin,
@@ -113,6 +118,8 @@ class References:
 
     def _read(self) -> dict[str, Any]:
         try:
+            if self.path.is_fifo():  # which would never answer
+                raise ValueError("it is a pipe")
             content = read_yaml_file(self.path, _MOST_BYTES) or {}
             if not isinstance(content, dict):
                 raise ValueError("expected names of references at the top")
@@ -126,6 +133,10 @@ class References:
         kind = self._kind
         if not isinstance(entry, dict):
             raise ValueError(f"expected {', '.join((_FEATURE, _FRAME, *kind.columns))}")
+        known = (*self._origin, _FRAME, *kind.columns, _SPEED, _DEVIATION)
+        for item in entry:
+            if item not in known:
+                raise ValueError(unknown("entry", str(item)[:_LONGEST_NAME], known))
         origin = {**self._origin, _FEATURE: None, **entry}
         for name, expected in self._origin.items():
             if origin[name] != expected:

@@ -9,13 +9,14 @@ The relation is that of the true lens, where its error is known: its stretch cha
 from __future__ import annotations
 
 from collections import deque
+from contextlib import suppress
 
 import numpy as np
 
 from fvs_controller_node.goal import Goal
 from fvs_ros.filter import GATE_M, OUTLIER
 from fvs_ros.kinds import Kind
-from fvs_ros.vectors import length
+from fvs_ros.vectors import largest, length
 
 #: ``frame_id`` of a relative target.
 OBJECT_FRAME = "object"
@@ -159,6 +160,15 @@ class LastSecond:
         self._images.append((stamp_s, z))
         while self._images[0][0] < stamp_s - _TEACH_S:
             self._images.popleft()
+
+    @property
+    def rests(self) -> bool:
+        """Whether it was at rest when it was seen last."""
+        with suppress(ValueError):
+            z, deviation_m = self.mean("")
+            off_m = largest(self._kind.minus(self._images[-1][1], z))
+            return off_m <= OUTLIER * deviation_m * len(self._images) ** 0.5 + GATE_M
+        return False
 
     def mean(self, name: str) -> tuple[np.ndarray, float]:
         """The mean, (m,), and its standard deviation in each coordinate, m."""

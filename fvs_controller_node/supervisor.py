@@ -319,6 +319,7 @@ class Supervisor:
             "started": str(self.started).lower(),
             "settled": str(error is not None and self.goal.progress.settled).lower(),
             **config.kind.status_values(error),
+            "reference": self.goal.reference,
             "active_limit": last.active_limit,
             "fastest_joint_rad_s": largest(self._limiter.velocity_rad_s),
             "smallest_singular_value_m_rad": singular,

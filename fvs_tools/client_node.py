@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
-from math import inf
+from math import inf, nan
 from typing import Any, NamedTuple
 
 import rclpy
@@ -71,7 +71,7 @@ class ServoClient:
     Raises
     ------
     ServoError
-        By every method: the controller refuses, or does not answer.
+        By every method but ``go_to``: the controller refuses, or does not answer.
     """
 
     def __init__(self, node: Node | None = None, namespace: str | None = None) -> None:
@@ -111,6 +111,8 @@ class ServoClient:
         """Go to a reference and stay with its object; returns once the arm may start."""
         self._choose(name)
         answer, end_s = self._call("go_to_reference"), time.monotonic() + timeout_s
+        if not answer.startswith(f"{name}: "):
+            raise ServoError(f"another client chose at the same time: {answer}")
         while True:
             response = self._ask(Trigger, "start", Trigger.Request())
             if response.success:
@@ -136,7 +138,10 @@ class ServoClient:
             Gets the controller's sentences on the way.
         """
         begin_s = time.monotonic()
-        self.follow(name, min(timeout_s, _ANSWER_S))
+        try:
+            self.follow(name, min(timeout_s, _ANSWER_S))
+        except ServoError as error:
+            return Result(False, nan, time.monotonic() - begin_s, str(error))
         status = self._next_status()  # the one after the present one is of this reference
         while True:
             words = status.message
@@ -145,6 +150,8 @@ class ServoClient:
             if feedback is not None and status.message != words:
                 feedback(status.message)
             settled = values.get("settled") == "true" and values.get("state") == "SERVOING"
+            if values.get("reference") != name:
+                return Result(False, nan, passed_s, "another target was set meanwhile")
             reached = settled and passed_s <= timeout_s
             if reached:
                 self._call("set_current_as_target")

@@ -270,6 +270,18 @@ def test_where_a_hidden_object_stood_is_known_by_all_its_images(scene):
     assert scene.error_m < error_m + 2e-4
 
 
+def test_a_hidden_object_that_stood_still_serves_the_next_reference_as_well(scene):
+    scene.ask()
+    scene.run(1.5)
+    scene.run(0.3, None)
+    back_m = 0.05 * np.eye(scene.kind.size)[2]
+    scene.relative = scene.kind.retract(scene.relative, back_m)
+    scene.ask()
+    commands = scene.run(1.0, None)
+    assert {command.state for command in commands} == {State.SERVOING}
+    assert scene.error_m < 2e-3
+
+
 def test_an_object_that_moved_under_an_absolute_target_may_not_be_hidden(scene):
     scene.ask()
     scene.run(1.0)
