@@ -43,11 +43,6 @@ class ControllerConfig(CommandInterface):
         True,
         "Feed-forward for targets that are updated often; off, every target is fixed.",
     )
-    object_moves: bool = live_parameter(
-        False,
-        "Whether the object that a camera on the arm sees moves by itself and is followed; then "
-        "an image that does not follow the arm holds it only when there is no progress.",
-    )
     joint_backlash_rad: float = live_parameter(
         0.0,
         "Play between a motor, whose angle joint_states has, and its joint, rad; 0.017 for hobby "
@@ -75,6 +70,11 @@ class SupervisorConfig(JointLimits, KindConfig, ViewConfig):
     autostart: bool = parameter(
         False,
         "Start without ~/start as soon as all inputs are ready, once. For simulation only.",
+    )
+    object_moves: bool = live_parameter(
+        False,
+        "Whether the object that a camera on the arm sees moves by itself and is followed; then "
+        "an image that does not follow holds the arm after a motion by twice the error in vain.",
     )
     workspace_min_m: tuple[float, ...] = live_parameter(
         (-1.0, -1.0, 0.2), "Lower corner of the box that targets must be in, feature frame, m."
@@ -147,6 +147,11 @@ class SupervisorConfig(JointLimits, KindConfig, ViewConfig):
             raise ParameterError(
                 f"a {kind.name} needs {kind.least_joints} joints or more, got {joints}"
             )
+
+    @property
+    def follows_object(self) -> bool:
+        """Whether a camera on the arm follows an object that moves."""
+        return self.object_moves and self.kind.on_arm
 
     @property
     def growth_time_s(self) -> float:

@@ -18,8 +18,9 @@ from fvs_ros.vectors import length
 #: initial distance to the target.
 _SWING_M, _REST_S, _SWINGS_M = 0.01, 1.0, 0.5
 
-#: Averaging time of the error, s; progress is a best error below this share of the last mark.
-_SMOOTH_S, _PROGRESS = 0.1, 0.97
+#: Averaging time of the error, s; progress is a best error below this share of the last mark. The
+#: error has come down, more than by noise, below this share of its highest.
+_SMOOTH_S, _PROGRESS, _DOWN = 0.1, 0.97, 0.9
 
 
 class _Mark(NamedTuple):
@@ -62,6 +63,8 @@ class Progress:
         self._best = self._mark = _Mark(inf, None)  # least error; that at the last progress
         self._swung: _Mark | None = None
         self._swings_m, self._still_s, self._first_m = 0.0, 0.0, 0.0
+        #: Predicted motion, m, where the object may move, too, since the error came down; from it.
+        self.travel_m, self._high_m = 0.0, inf
         self.settled = False
 
     def add(
@@ -99,6 +102,9 @@ class Progress:
             self._since_s += dt_s
         else:
             self._since_s = 0.0
+        if smooth_m < max(_DOWN * self._high_m, config.settled_error_m):
+            self._high_m, self.travel_m = smooth_m, 0.0
+        self._high_m = max(self._high_m, smooth_m)
 
     def _swing(self, error_m: np.ndarray, dt_s: float, target_m: np.ndarray | None) -> None:
         if self._swung is None:
@@ -124,10 +130,13 @@ class Progress:
             )
         if self._swings_m > _SWINGS_M + 2.0 * self._first_m:
             return Reason.OSCILLATING.because(what=config.kind.what, distance=text(self._swings_m))
-        if self._since_s >= config.stall_time_s:
-            return Reason.STALLED.because(
-                time_s=config.stall_time_s, error=text(error_m), remark=remark
-            )
+        # An image that stands may be that of an object that moves; but on that the arm gains before
+        # it has gone twice as far, once to be as fast.
+        astray = self.travel_m > 2.0 * error_m + config.prediction_hold_m
+        if astray or self._since_s >= config.stall_time_s:
+            time = f"{config.stall_time_s:.0f} s"
+            during = f"{text(self.travel_m)} of motion" if astray else time
+            return Reason.STALLED.because(during=during, error=text(error_m), remark=remark)
         return None
 
 

@@ -89,7 +89,7 @@ class ServoLoop:
         own = ControllerConfig.from_values(values)
         self.supervisor.configure(SupervisorConfig.from_values(values))
         self.law, self._feeds_forward = law, own.target_feed_forward
-        self._object_moves = own.object_moves and self.kind.on_arm
+        self._object_moves = self.supervisor.config.follows_object
         self._backlash_rad = own.joint_backlash_rad
         # What is learned is the lag of velocities; a position drive may take longer.
         self._least_lag_s = LONGEST_LAG_S if own.command_interface == POSITION else 0.0

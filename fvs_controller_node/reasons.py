@@ -70,7 +70,7 @@ class Reason(Enum):
         "check camera and model, or choose a reachable target",
     )
     STALLED = _ends(
-        "no progress for {time_s:.0f} s, {error} from the target{remark}",
+        "no progress in {during}, {error} from the target{remark}",
         "choose a reachable target, or check joint limits and model",
     )
     OSCILLATING = _ends(

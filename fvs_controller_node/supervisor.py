@@ -23,7 +23,7 @@ from fvs_controller_node.redundancy import singular_values
 from fvs_ros.following import TrackingFault
 from fvs_ros.kinds import ErrorText
 from fvs_ros.limiter import CommandLimiter
-from fvs_ros.vectors import all_finite, largest
+from fvs_ros.vectors import all_finite, largest, length
 from fvs_ros.view import WHERE, Barrier
 
 #: Speed at which the arm may leave a singular pose, rad/s.
@@ -214,10 +214,11 @@ class Supervisor:
         """Check the monitors that apply in motion; every one of them runs at every tick."""
         config, present = self.config, self._present
         assert present.jacobian is not None
+        moved_rad = dt_s * self._limiter.velocity_rad_s
+        if config.follows_object:
+            self.goal.progress.travel_m += length(present.jacobian.dot(moved_rad))
         findings = (
-            self._prediction.check(
-                present.verdict, present.jacobian, dt_s * self._limiter.velocity_rad_s, config
-            ),
+            self._prediction.check(present.verdict, present.jacobian, moved_rad, config),
             self.goal.progress.check(config, self._remark),
             self._following(present.not_following),
         )

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from cases import each
 
-from fvs_controller_node.reasons import State
+from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.relation import OBJECT_FRAME
 from fvs_estimator_node.registry import create_estimator
 from fvs_sim_node.config import SimConfig
@@ -111,3 +111,36 @@ def test_an_object_on_a_belt_is_followed_if_it_may_move(feature):
         errors = errors_m(loop, target, 2.0)
         behind_m = np.linalg.norm(errors[-125:], axis=1).max()
         assert (behind_m < 1.5e-3) == moves
+
+
+@each("feature", ["ball", "pose"])
+def test_an_image_that_stands_is_no_object_that_is_followed(feature):
+    loop = loop_on_arm(feature, object_moves=True)
+    loop.set_target(view_from(loop))
+    loop.run(0.15)
+    simulation, rng, kind = loop.simulation, np.random.default_rng(0), loop.kind
+    stands, advance = loop.true_feature, simulation.advance
+
+    def frozen():
+        out = advance()
+        noisy = [kind.retract(stands, 2e-4 * rng.normal(size=kind.size)) for _ in out.observations]
+        images = zip(out.observations, noisy, strict=True)
+        return replace(out, observations=[replace(image, z=z) for image, z in images])
+
+    simulation.advance = frozen
+    for _ in range(round(2.0 / loop.period_s)):
+        loop.tick()
+    last = loop.loop.supervisor.last
+    assert last.reason in (Reason.STALLED, Reason.OSCILLATING)
+    assert not last.velocity_rad_s.any()
+
+
+@each("speed_m_s", [0.2, 0.3])
+def test_an_arm_that_catches_up_with_an_object_is_not_stalled(speed_m_s):
+    loop = loop_on_arm("ball", object_moves=True)
+    loop.set_target(loop.true_feature)
+    simulation = loop.simulation
+    belt_m_s = (0.0, speed_m_s, 0.0)
+    simulation.configure(replace(simulation.config, object_velocity_m_s=belt_m_s))
+    loop.run(1.2)
+    assert loop.loop.supervisor.last.state is State.SERVOING
