@@ -61,6 +61,9 @@ RUN_S, BELT_M_S = 3.0, 0.1
 #: The view of the simulated camera, and of what it sees; and its least distance, m.
 VIEW = ViewConfig(view_half_angles_deg=(27.0, 21.0), view_radius_m=0.045)
 NEAR = {"workspace_min_m": (-1.0, -1.0, 0.1), **vars(VIEW)}
+#: A view without ends: the object is not kept in it.
+FREE = "best, view not kept"
+OPEN = {"view_half_angles_deg": (89.0, 89.0), "view_distance_m": (0.0, 9.0), "view_radius_m": 0.0}
 #: Distance from camera to object, m, their middle as published; the largest angles of the camera
 #: off the object's normal, and of its further roll and tilts, degrees.
 CNS_M, CNS_OFF_DEG, CNS_ROLL_DEG, CNS_TILT_DEG = 0.275 / 0.7 * np.array([0.5, 0.9]), 20.0, 15.0, 5.0
@@ -68,9 +71,16 @@ BUMPED, BELT, CNS = "bracket bumped", "belt", "starts of CNS"
 
 
 @lru_cache(maxsize=1)
+def _build(config: SimConfig) -> Simulation:
+    return Simulation(config)
+
+
 def _simulation(arm: str, feature: str) -> Simulation:
-    """The process's simulated arm with its camera."""
-    return Simulation(replace(ROOM, robot=arm, feature=feature))
+    """The process's simulated arm with its camera, which nobody has bumped."""
+    config = replace(ROOM, robot=arm, feature=feature)
+    simulation = _build(config)
+    simulation.configure(config)
+    return simulation
 
 
 def _described(simulation: Simulation, values: Parameters) -> dict[str, Any]:
@@ -138,7 +148,6 @@ def learn(task: tuple[str, str, float]) -> Arm:
     names, where = simulation.world.joint_names, ROOM.camera_mount
     asked = CollectorConfig(joint_names=names, duration_s=duration_s, seed=1, feature=feature)
     asked = replace(asked, camera_mount=where, joint_range_rad=(RANGE_RAD,))
-    simulation.configure(replace(ROOM, robot=name, feature=feature))
     data = collect(simulation, CollectorConfig.from_values(_described(simulation, asked)))
     chain = fit_chain(data).chain
     box_rad = np.array([data.joints_rad.min(axis=0), data.joints_rad.max(axis=0)])
@@ -199,7 +208,8 @@ def with_hand_eyes(task: tuple[Arm, int]) -> list[dict[str, Any]]:
     """Servo by the URDF and hand-eyes that are off: a row each."""
     arm, (simulation, case) = task[0], second_object(*task)
     axis, way = np.random.default_rng([432, task[1]]).normal(size=(2, 3))
-    rows = []
+    free = arm.trial(case, setting="none", scheme=FREE).changed(controller=OPEN)
+    rows = [run(free, simulation)]
     for name, (off_deg, off_m) in HAND_EYES.items():
         turned = rotation_from_vector(np.array(along(axis, np.radians(off_deg))))
         off = simulation.true_chain().moved(turned, np.array(along(way, off_m)))
@@ -258,8 +268,8 @@ def view(rng: np.random.Generator) -> np.ndarray:
     return KIND.inverse(KIND.of_body(rng.uniform(*CNS_M) * away, rotation))
 
 
-def cns(task: tuple[Arm, int]) -> dict[str, Any]:
-    """Servo between two such views: the row."""
+def cns(task: tuple[Arm, int]) -> list[dict[str, Any]]:
+    """Servo between two such views, kept in view or not: a row each."""
     arm, number = task
     simulation = _simulation(arm.name, arm.feature)
     rng, home = np.random.default_rng([435, number]), simulation.world.start_rad(ROOM)
@@ -269,18 +279,24 @@ def cns(task: tuple[Arm, int]) -> dict[str, Any]:
     chain, ends = simulation.true_chain(), list[Joints]()
     low, high = simulation.world.lower_rad, simulation.world.upper_rad
     while len(ends) < 2:
-        z = view(rng)
-        for last_rad in np.linspace(-np.pi, np.pi, 9):  # the last joint rolls the camera
-            joints = joints_at(chain, z, np.append(home[:-1], home[-1] + last_rad))
-            if joints is None or (joints < low).any() or (joints > high).any():
-                continue
-            end = tuple(joints.tolist())
-            if np.abs(joints - home)[:-1].max() < 1.2 and _view(simulation, end, None) is not None:
-                ends.append(end)
-                break
+        z, others = view(rng), home[:-1]
+        rolls_rad = home[-1] + np.linspace(-np.pi, np.pi, 9)  # the last joint rolls the camera
+        tried = [joints_at(chain, z, np.append(others, roll_rad)) for roll_rad in rolls_rad]
+        inside = [
+            each for each in tried if each is not None and ((each > low) & (each < high)).all()
+        ]
+        if not inside:
+            continue
+        joints = min(inside, key=lambda each: np.abs(each[:-1] - others).max())
+        jacobian, end = simulation.true_jacobian(joints), tuple(joints.tolist())
+        regular = np.linalg.svd(jacobian, compute_uv=False)[-1] > 0.08
+        if regular and _view(simulation, end, None) is not None:
+            ends.append(end)
     start, goal = ends
     trial = arm.trial(Case(f"view {number}", start, goal, number), setting=CNS)
-    return run(replace(trial, duration_s=8.0, stop_after_s=1.5), simulation)
+    trial = replace(trial, duration_s=8.0, stop_after_s=1.5)
+    free = trial.changed({"scheme": FREE}, controller=OPEN)
+    return [run(each, simulation) for each in (trial, free)]
 
 
 # ---- the experiment -------------------------------------------------------------------------
@@ -299,10 +315,10 @@ def measure(context: lab.Context) -> Results:
     pairs = [(arm, number) for arm in arms for number in range(1, 1 + context.count(20))]
     first, starts = pairs[:count], [(arms[0], 1 + k) for k in range(context.count(150))]
     rows += context.map(to_second, pairs, "another object")
-    for done in context.map(with_hand_eyes, first, "hand-eyes"):
-        rows += done
+    for part, tasks in ((with_hand_eyes, first), (cns, starts)):
+        for done in context.map(part, tasks, part.__name__):
+            rows += done
     rows += context.map(bumped, first, "bumps") + context.map(on_belt, first, "belt")
-    rows += context.map(cns, starts, "starts")
     ours = [row for row in rows if row.get("arm") == arms[0].name]
     return Results([*({**row, "part": "ur5", "setting": "none"} for row in ours), *rows])
 
@@ -321,7 +337,7 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
     yield lab.ours("rest", position, angle)
     yield lab.ours("fast", lab.below("over the floor", there.median("over_5mm"), 1.15))
     parts_of = runs.where(part="ur5").groups("setting")
-    starts = parts_of[CNS]
+    starts = parts_of[CNS].where(scheme=OURS)
     exact = [row["rest_m"] < 3e-4 and row["rest_deg"] < 0.1 for row in starts]
     converged = lab.kept("converged", starts.values("settled"), 1.0)
     yield lab.ours("cns", converged, lab.kept("within 0.1° and 0.3 mm", exact, 1.0))
@@ -329,7 +345,7 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
     yield lab.ours("bump", lab.kept("runs", soon, 0.95))
     lag = parts_of[BELT].median("rest_m")
     yield lab.ours("belt", lab.below("distance, rms", lag, 0.001, 1e3, " mm"))
-    none, (first, *_, last) = parts_of["none"], HAND_EYES
+    none, (first, *_, last) = parts_of["none"].where(scheme=OURS), HAND_EYES
     for name, setting, which, most in (("exact", first, FIXED, 1.05), ("wrong", last, VISP, 1.0)):
         ratio = none.over(parts_of[setting].where(scheme=which), "to_5mm_s")
         yield lab.ours(name, lab.below("time over that", ratio, most))
