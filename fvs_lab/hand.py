@@ -106,15 +106,16 @@ def _ahead(simulation: Simulation, away_m: float, aslant_rad: np.ndarray) -> Rig
 def _view(simulation: Simulation, joints_rad: Joints, bump: Bump | None) -> np.ndarray | None:
     """Where the object is in the picture from there; None if it is not seen, also after a blow."""
     simulation.reset(joints_rad)
-    mounted, looks = simulation.mounted, [simulation.look()]
-    if bump is not None:
-        bump.strike(simulation)
-        looks.append(simulation.look())
-        simulation.mounted = mounted
-    for look in looks:
-        if look.z is None or VIEW.out_of_view(simulation.kind, look.z):
-            return None
-    return looks[0].true_position_m
+    mounted, first = simulation.mounted, simulation.look()
+    for blow in (None, bump):
+        if blow is not None:
+            blow.strike(simulation)
+        z = simulation.true_feature()
+        seen = simulation.look().z is not None and not VIEW.out_of_view(simulation.kind, z)
+        if not seen:
+            break
+    simulation.mounted = mounted
+    return first.true_position_m if seen else None
 
 
 @dataclass(frozen=True)
@@ -315,8 +316,8 @@ def measure(context: lab.Context) -> Results:
     pairs = [(arm, number) for arm in arms for number in range(1, 1 + context.count(20))]
     first, starts = pairs[:count], [(arms[0], 1 + k) for k in range(context.count(150))]
     rows += context.map(to_second, pairs, "another object")
-    for part, tasks in ((with_hand_eyes, first), (cns, starts)):
-        for done in context.map(part, tasks, part.__name__):
+    for part, numbered in ((with_hand_eyes, first), (cns, starts)):
+        for done in context.map(part, numbered, part.__name__):
             rows += done
     rows += context.map(bumped, first, "bumps") + context.map(on_belt, first, "belt")
     ours = [row for row in rows if row.get("arm") == arms[0].name]
