@@ -122,7 +122,7 @@ class CalibrateNode(ros.FvsNode):
                 feature_frame=self._config.feature_frame,
                 feature=self._config.feature,
             )
-            job = self._worker.submit(calibrate, data, self._arm, self._config.camera_on_arm)
+            job = self._worker.submit(calibrate, data, self._arm, self._kind.on_arm)
             while not job.done():
                 yield
             try:

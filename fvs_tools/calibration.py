@@ -31,7 +31,6 @@ class CalibrateConfig(BodyConfig):
     tip_link: str = parameter(
         "", "link that carries ball, tag or camera; empty: tool0, flange, or the arm's last link"
     )
-    camera_on_arm: bool = parameter(False, "the arm carries the camera, ball or tag is at rest")
     output_path: str = parameter(
         "out/calibrate/camera.yaml", "file to write; a picture of the residuals is put beside it"
     )
