@@ -37,6 +37,18 @@ def test_a_chain_gives_the_jacobian_until_it_comes_no_more(servoing):
     np.testing.assert_array_equal(loop.jacobian, servoing.true)
 
 
+def test_an_estimator_with_another_camera_mount_stops_the_arm(servoing):
+    rng = np.random.default_rng(2)
+    chain = SerialChain(*rng.normal(size=(2, 6, 3)), np.ones(3), servoing.home_rad, on_arm=True)
+    for _ in range(30):
+        servoing.run(1)
+        servoing.send_chain(ros.to_chain(chain))
+    servoing.run(1)
+    last = servoing.node._loop.supervisor.last
+    assert "camera_mount arm, expected fixed" in last.text
+    assert not last.velocity_rad_s.any()
+
+
 def test_a_moving_target_is_extrapolated_until_it_is_set_to_the_current_position(servoing):
     for k in range(12):
         servoing.run(1)

@@ -66,7 +66,7 @@ def test_no_file_is_written_or_read_that_is_too_large_for_the_controller(tmp_pat
         (("frame: object", "frame: 3"), "frame is missing"),
         (("version: 1", "version: 2"), "it is of version 2, expected 1"),
         (("[base, elbow]", "[base]"), r"of joints \['base'\], expected \['base', 'elbow'\]"),
-        (("mount: fixed", "mount: moving"), "it is of mount moving, expected fixed"),
+        (("mount: fixed", "mount: arm"), "it is of mount arm, expected fixed"),
         (("  x: 0.01\n", "  x: 1" + "0" * 400 + "\n"), "x is 10+, expected a number"),
         (("grasp:", "- grasp:"), "expected names of references"),
     ],
