@@ -77,7 +77,7 @@ class SupervisorConfig(JointLimits, KindConfig, ViewConfig):
         "an image that does not follow holds the arm after a motion by twice the error in vain.",
     )
     workspace_min_m: tuple[float, ...] = live_parameter(
-        (-1.0, -1.0, 0.2), "Lower corner of the box that targets must be in, feature frame, m."
+        (-1.0, -1.0, 0.1), "Lower corner of the box that targets must be in, feature frame, m."
     )
     workspace_max_m: tuple[float, ...] = live_parameter(
         (1.0, 1.0, 3.0), "Upper corner of the box that targets must be in, feature frame, m."

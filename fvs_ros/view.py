@@ -79,7 +79,7 @@ class Barrier(NamedTuple):
 
 @dataclass(frozen=True)
 class ViewConfig(Parameters):
-    """The view of a camera on the arm; the defaults are those of a RealSense D435's colour."""
+    """The view of a camera on the arm; by default a RealSense D435's 4:3 colour."""
 
     #: A margin may fall at most at this rate, 1/s: the robot lags, as at an end of a joint's range.
     view_rate_1_s = 5.0
@@ -89,7 +89,7 @@ class ViewConfig(Parameters):
     view_share = 0.25
 
     view_half_angles_deg: tuple[float, ...] = live_parameter(
-        (34.5, 21.0),
+        (27.0, 20.5),
         "Half the angles of view, horizontal and vertical, of a camera on the arm, degrees.",
         1.0,
         89.0,
