@@ -17,7 +17,8 @@ from fvs_ros.kinds import KINDS
 from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.view import ViewConfig
 
-VIEW = ViewConfig()
+WIDE = {"view_half_angles_deg": [34.5, 21.0]}
+VIEW = ViewConfig(**WIDE)
 #: A view without ends.
 ENDLESS = {
     "view_half_angles_deg": [89.0, 89.0],
@@ -25,7 +26,13 @@ ENDLESS = {
     "view_tilt_deg": 90.0,
     "view_radius_m": 0.0,
 }
-ON_ARM = {"feature": "pose", "camera_mount": "arm", "law": "minimum_time", "autostart": True}
+ON_ARM = {
+    "feature": "pose",
+    "camera_mount": "arm",
+    "law": "minimum_time",
+    "autostart": True,
+    **WIDE,
+}
 DT_S, LATENCY_S, LAG_S = 0.008, 0.06, 0.035
 
 
@@ -62,7 +69,7 @@ def least_margin_m(number, turned_rad=0.15, **values):
     generator = np.random.default_rng(number)
     axis = generator.standard_normal(3)
     known = chain.moved(rotation_from_vector(turned_rad * axis / np.linalg.norm(axis)), np.zeros(3))
-    loop = ServoLoop(default_values(**ON_ARM, **values))
+    loop = ServoLoop(default_values(**{**ON_ARM, **values}))
     joints, drive, images = chain.reference_rad, np.zeros(6), deque()
     margins_m, texts = [], set()
     for tick in range(500):
