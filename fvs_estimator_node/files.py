@@ -21,6 +21,7 @@ from fvs_ros.kinds import KINDS, Kind, KindConfig
 from fvs_ros.kinds.kind import FIXED, MOUNTS, ON_ARM
 from fvs_ros.timeline import Sample
 from fvs_ros.vectors import check_arrays
+from fvs_ros.view import ViewConfig
 
 _VERSION = 1
 #: Two hours at 200 Hz stay below this; a larger file is refused.
@@ -215,12 +216,20 @@ class TrainedModel(_OfFeature):
             raise ValueError("joint_box_rad has a least value above the greatest")
 
     def target(self, z: np.ndarray, distance_m: float, rng: np.random.Generator) -> np.ndarray:
-        """A measurement trained on, (m,), that is about a distance, m, away from z."""
-        apart_m = np.linalg.norm((self.z_samples - z) * self.kind.weights, axis=1)
+        """A measurement trained on, (m,), that is about a distance, m, away from z.
+
+        With the camera on the arm, one that the controller takes to be in view.
+        """
+        kind, view, samples = self.kind, ViewConfig(), self.z_samples
+        if kind.on_arm:
+            samples = np.array([row for row in samples if not view.out_of_view(kind, row)])
+        if not len(samples):
+            raise ValueError("nothing that was trained on is in view")
+        apart_m = np.linalg.norm((samples - z) * kind.weights, axis=1)
         mismatch_m = np.abs(apart_m - distance_m)
         # Those within 20 mm are equally good.
         fitting = np.flatnonzero(mismatch_m <= max(0.02, mismatch_m.min()))
-        return np.asarray(self.z_samples[rng.choice(fitting)])
+        return np.asarray(samples[rng.choice(fitting)])
 
     @property
     def notes(self) -> tuple[str, ...]:
