@@ -28,6 +28,12 @@ from fvs_ros.interface import POSITION, Backlash
 from fvs_ros.limits import tick_s
 from fvs_ros.timeline import repeats
 from fvs_ros.track import Track
+from fvs_ros.vectors import largest, length
+
+#: Motion of a joint in which a measurement with noise changes, rad.
+_MOVED_RAD = 1e-3
+#: An object is not put elsewhere again within this time, s; a pose that flips would be.
+_PUT_AGAIN_S = 2.0
 
 
 class ServoLoop:
@@ -76,6 +82,10 @@ class ServoLoop:
         self._stamp_s = 0.0  # of the newest joint state
         self._image_s: float | None = None  # stamp of the newest image
         self._unjudged: list[Image] = []
+        self._newest: Image | None = None  # accepted
+        self._put_s = -inf  # when the object was put elsewhere
+        #: What is measured, and the joints when that was first so.
+        self._stood: tuple[np.ndarray, np.ndarray | None] = np.zeros(0), None
         self._change = Change.TARGET  # since the last call of the law
         self._new_image = False  # likewise
         self.sliding_variable: np.ndarray | None = None
@@ -140,11 +150,26 @@ class ServoLoop:
             self.supervisor.inputs[FEATURE].stuck(now_s)
             return
         self._image_s = stamp_s
+        if self._object_moves and self._is_frozen(z):
+            self.supervisor.inputs[FEATURE].stuck(now_s)
+            return
         if self.supervisor.inputs.add(FEATURE, now_s, z):
             self._accept(self.track.add_image(stamp_s, z))
 
+    def _is_frozen(self, z: np.ndarray) -> bool:
+        """Whether the arm has moved, and what it measures stays the same to the last digit."""
+        before, then = self._stood
+        joints = self._joints
+        if joints is None or then is None or not np.array_equal(z, before):
+            self._stood = z, joints
+            return False
+        return largest(joints - then) > _MOVED_RAD
+
     def _accept(self, images: list[Image]) -> None:
         if images:
+            if self.kind.on_arm:
+                self._look_for_another_place(images[0])
+                self._newest = images[-1]
             self._unjudged += images
             for image in images:
                 self._teacher.tool.add(image.stamp_s, image.z)
@@ -152,6 +177,21 @@ class ServoLoop:
                     self._add_drift(image)
             self._new_image = True
             self._note(Change.MEASUREMENT)
+
+    def _look_for_another_place(self, image: Image) -> None:
+        """Begin anew where the object was put elsewhere: its jump is no fault of the arm.
+
+        A picture that is frozen jumps by no more than what the arm was to move in it.
+        """
+        last = self._newest
+        if last is None or image.run == last.run or image.stamp_s < self._put_s + _PUT_AGAIN_S:
+            return
+        moved_m = image.moved_m - last.moved_m
+        if length(image.seen_m - last.seen_m - moved_m) > 2.0 * length(moved_m):
+            self._put_s = image.stamp_s
+            self._agreement.restart()
+            self._unjudged.clear()
+            self.supervisor.goal.progress.restart()
 
     def _add_drift(self, image: Image) -> None:
         """Take the part of the path that the joints do not explain."""

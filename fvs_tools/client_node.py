@@ -14,7 +14,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from math import inf, nan
 from typing import Any, NamedTuple
 
@@ -156,7 +156,9 @@ class ServoClient:
             if reached:
                 self._call("set_current_as_target")
             if reached or passed_s > timeout_s or values.get("started") == "false":
-                error_m = float(values.get("error_m", "nan"))
+                error_m = nan
+                with suppress(ValueError):  # it may be unknown
+                    error_m = float(values.get("error_m", ""))
                 return Result(reached, error_m, passed_s, status.message)
 
     def stop(self) -> str:

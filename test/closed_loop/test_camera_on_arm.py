@@ -70,6 +70,32 @@ def test_it_reaches_views_of_an_object_that_was_put_elsewhere(feature):
     assert loop.loop.supervisor.last.state is State.SERVOING
 
 
+@each("feature", ["ball", "pose"])
+def test_an_object_is_put_elsewhere_while_the_arm_rests_at_its_target(feature):
+    for way_m in ([0.06, 0.0, 0.0], [0.0, -0.06, 0.0], [0.0, 0.0, 0.3]):
+        loop = loop_on_arm(feature)
+        target = loop.true_feature
+        loop.set_target(target)
+        loop.run(1.5)
+        put_object(loop, np.array(way_m))
+        errors = errors_m(loop, target, 3.0)
+        assert np.linalg.norm(errors[-60:].mean(axis=0)) < 5e-4
+        assert loop.loop.supervisor.last.state is State.SERVOING
+
+
+def test_a_frozen_picture_is_no_object_that_is_followed_at_the_target():
+    loop = loop_on_arm("pose", object_moves=True)
+    target = loop.true_feature
+    loop.set_target(target)
+    belt_m_s = (0.0, 0.05, 0.0)
+    loop.simulation.configure(replace(loop.simulation.config, object_velocity_m_s=belt_m_s))
+    loop.run(1.0)
+    loop.simulation.as_seen = lambda *_: target[:3]
+    loop.simulation._blurred = lambda *_: target
+    loop.run(1.0)
+    assert loop.loop.supervisor.last.state is State.HOLDING
+
+
 def test_a_taught_view_is_reached_again_after_the_object_moved():
     loop = loop_on_arm("pose")
     loop.run(1.0)
