@@ -140,6 +140,6 @@ class Track:
             return None
         if newest_s - image.stamp_s > MAX_LATENCY_S or self.problem:
             return None
-        x = x - self.filter.moved_m if drift_m is None else drift_m
-        x = x + last[-self.kind.size :]
+        moved_m = last[-self.kind.size :]
+        x = x + moved_m - self.filter.moved_m if drift_m is None else drift_m + moved_m
         return self.kind.retract(accepted.z, x - accepted.seen_m)
