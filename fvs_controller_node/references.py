@@ -17,9 +17,10 @@ from fvs_ros.kinds import Kind
 from fvs_ros.yaml_text import read_yaml_file, write_yaml
 
 _HEAD = """\
-# Taught references. In the frame `object`, a reference is where the tool shall be seen from the
-# object; else in the camera's. x, y, z in m; qx, qy, qz, qw is the orientation. speed is the share
-# of max_joint_velocity_rad_s on the way there. Teaching writes the file anew, without comments.
+# Taught references. In the frame `object`, a reference is where the tool, or the camera on the arm,
+# shall be seen from the object; else in the camera's. x, y, z in m; qx, qy, qz, qw is the
+# orientation. speed is the share of max_joint_velocity_rad_s on the way there. Teaching writes the
+# file anew, without comments.
 """
 _FEATURE, _FRAME, _SPEED, _DEVIATION = "feature", "frame", "speed", "deviation_m"
 #: Bytes of a file, which is read between two commands, and letters of a name.
