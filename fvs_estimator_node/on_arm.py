@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -39,9 +40,12 @@ _BRACKET, _OBJECT, _VELOCITY = slice(6), slice(6, 12), slice(12, 18)
 
 
 class _Seen(NamedTuple):
-    """One image: its time, s, what was seen, (m,), the motion of the room, (4, 4), of rows."""
+    """One image: its time, s, what was seen, (m,), the motion of the room, (4, 4), of rows.
 
-    stamp_s: float
+    Or k of them, with one more dimension each.
+    """
+
+    stamp_s: np.ndarray
     joints_rad: np.ndarray
     z: np.ndarray
     motion: np.ndarray
@@ -72,11 +76,11 @@ class _Cause:
         self.object: np.ndarray | None = None  # z0 at the newest image, in rows
         self._newest_s = 0.0
 
-    def residuals(self, images: list[_Seen]) -> tuple[np.ndarray, np.ndarray]:
+    def residuals(self, images: _Seen) -> tuple[np.ndarray, np.ndarray]:
         """What k images miss, m, (k m,), and its slopes by the unknowns, (k m, 18)."""
         assert self.object is not None
-        motions = np.stack([image.motion for image in images]) @ self.bracket
-        since_s = np.array([image.stamp_s for image in images])[:, None, None] - self._newest_s
+        motions = images.motion @ self.bracket
+        since_s = images.stamp_s[:, None, None] - self._newest_s
         there = self.object + since_s * self._moved(self.object, self._known[_VELOCITY])
         seen = (there @ motions)[..., :3]
         points = self._is_point[:, None, None] * np.eye(3)
@@ -86,19 +90,18 @@ class _Cause:
         by_object = np.concatenate([-cross_matrix(self.object[:, :3]), points], axis=-1)
         turned = np.swapaxes(motions[:, None, :3, :3], -1, -2) @ by_object
         slopes = np.concatenate([by_bracket, turned, since_s[..., None] * turned], axis=-1)
-        measured = np.stack([image.z for image in images]).reshape(seen.shape)
-        residual = self._weights[..., 0] * (measured - seen)
+        residual = self._weights[..., 0] * (images.z.reshape(seen.shape) - seen)
         return residual.ravel(), (self._weights * slopes).reshape(-1, 18)
 
-    def learn(self, images: list[_Seen], noise_m: float) -> None:
+    def learn(self, images: _Seen, noise_m: float) -> None:
         """One step of least squares over the images, the newest last."""
-        image = images[-1]
+        newest_s = float(images.stamp_s[-1])
         if self.object is None:
-            rows = np.insert(image.z.reshape(-1, 3), 3, self._is_point, axis=1)
-            self.object = np.linalg.solve((image.motion @ self.bracket).T, rows.T).T
-            self._newest_s = image.stamp_s
+            rows = np.insert(images.z[-1].reshape(-1, 3), 3, self._is_point, axis=1)
+            self.object = np.linalg.solve((images.motion[-1] @ self.bracket).T, rows.T).T
+            self._newest_s = newest_s
             return
-        passed_s, self._newest_s = image.stamp_s - self._newest_s, image.stamp_s
+        passed_s, self._newest_s = newest_s - self._newest_s, newest_s
         self.object = self.object + passed_s * self._moved(self.object, self._known[_VELOCITY])
         free, before = self._free, (self.bracket, self.object, self._known)
         residual, slopes = self.residuals(images)
@@ -169,9 +172,9 @@ class OnArmPoeEstimator(Estimator):
         self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float, stamp_s: float = 0.0
     ) -> None:
         """Learn the bracket's pose, and where the object is."""
-        image = _Seen(stamp_s, joints_rad, z, self._fitted.transform(joints_rad))
+        image = _Seen(np.array(stamp_s), joints_rad, z, self._fitted.transform(joints_rad))
         if self._images:
-            residual, slopes = self._cause.residuals([image])
+            residual, slopes = self._cause.residuals(_stacked([image]))
             unsure_m2 = float(np.vdot(slopes @ self._cause.covariance, slopes))
             off_m = length(residual)
             if off_m > _BUMP_M + OUTLIER * math.sqrt(unsure_m2 + len(residual) * noise_m**2):
@@ -179,8 +182,9 @@ class OnArmPoeEstimator(Estimator):
                 self._begin(self._cause.bracket, _BUMPED_RAD)
         if not self._images or self._says_more(image):
             self._images.append(image)
+            images = _stacked(self._images)
             for cause in self._causes:
-                cause.learn(list(self._images), noise_m)
+                cause.learn(images, noise_m)
             self._cause = min(self._causes, key=attrgetter("cost"))
             bracket = self._cause.bracket
             self._moved = self._fitted.moved(bracket[:3, :3].T, bracket[3, :3])
@@ -198,6 +202,10 @@ class OnArmPoeEstimator(Estimator):
         turned_deg = math.degrees(rotation_angle_rad(self._cause.bracket[:3, :3]))
         camera = {"camera_turned_deg": turned_deg, "camera_bumps": float(self.bumps)}
         return {**super().status_values(), **camera}
+
+
+def _stacked(images: Iterable[_Seen]) -> _Seen:
+    return _Seen(*map(np.stack, zip(*images, strict=True)))
 
 
 def _motion(twist: np.ndarray) -> np.ndarray:
