@@ -108,7 +108,8 @@ class TagsConfig(MountConfig):
     tag: Tag = field(default_factory=Tag)
     object_tag_id: int = parameter(
         -1,
-        "number of the object's tag, the others of its layout follow; -1: no object",
+        "number of the object's tag, the others of its layout follow; -1: no object, or, seen by a "
+        "camera on the arm, that of tag_id",
         -1,
         2**16 - 1,
     )
@@ -121,10 +122,9 @@ class TagsConfig(MountConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.object_tag_id >= 0 and self.camera_mount == ON_ARM:
-            raise ValueError(
-                "object_tag_id is for a fixed camera; one on the arm servos the object: tag_id"
-            )
+        if self.camera_mount == ON_ARM:
+            object.__setattr__(self, "tag", self.object_tag or self.tag)
+            object.__setattr__(self, "object_tag_id", -1)
 
     @property
     def object_tag(self) -> Tag | None:

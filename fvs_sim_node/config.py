@@ -57,16 +57,14 @@ class SimConfig(TagsConfig, CommandInterface):
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
     object_position_m: tuple[float, ...] = live_parameter(
         (0.45, -0.1, 0.05),
-        "middle of the object's tags, world frame, or of what a camera on the arm sees, by default "
-        "in front of it; it jumps there",
+        "middle of the object, world frame; it jumps there; by default before a camera on the arm",
         -5.0,
         5.0,
         size=3,
     )
     object_rotation_deg: tuple[float, ...] = live_parameter(
         (75.0, 40.0, 30.0),
-        "rotation vector of the object, world frame; zeros: it lies on its back; by default it "
-        "faces a camera on the arm, but for 25 degrees",
+        "rotation vector of the object, world frame; zeros: it lies on its back",
         -180.0,
         180.0,
         size=3,

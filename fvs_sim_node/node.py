@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
+import rclpy
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
@@ -22,6 +23,7 @@ from fvs_ros import ros, topics
 from fvs_ros.interface import VELOCITY
 from fvs_ros.kinds import KINDS
 from fvs_ros.kinds.pose import Pose
+from fvs_ros.rotations import vector_from_rotation_rad
 from fvs_sim_node.config import PARAMETERS, SimNodeConfig
 from fvs_sim_node.frame_worker import FrameWorker
 from fvs_sim_node.robot import robot_description, robot_of
@@ -90,6 +92,11 @@ class SimNode(ros.FvsNode):
         self.subscribe(self._command_topic, self._on_command)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.on_parameters(self.values, {p.name for p in self.parameter_set if p.live})
+        if self._kind.on_arm:  # the parameters say where the object is by default
+            pose = self._sim.world.object_pose
+            rotation_deg = np.degrees(vector_from_rotation_rad(pose.rotation))
+            where = {"object_position_m": pose.position_m, "object_rotation_deg": rotation_deg}
+            self.set_parameters([rclpy.Parameter(n, value=v.tolist()) for n, v in where.items()])
         self._keep_time(config)
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 

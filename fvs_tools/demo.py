@@ -12,7 +12,6 @@ import numpy as np
 from fvs_ros.kinds import BodyConfig, Kind
 from fvs_ros.params import parameter
 from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
-from fvs_sim_node.config import SimConfig
 from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge, largest_part_m
 
 
@@ -32,7 +31,8 @@ class DemoConfig(BodyConfig):
     target_s: float = parameter(4.0, "time given to each target", 1.0, 60.0)
     relative: bool = parameter(
         False,
-        "teach where the tool is, seen from the object; then the object jumps, not the target",
+        "teach where the tool, or the camera on the arm, is, seen from the object; then the object "
+        "jumps, not the target",
     )
     output_dir: str = parameter("out/demo", "folder for the results and the figure")
 
@@ -41,20 +41,25 @@ PARAMETERS = DemoConfig.declared()
 
 #: Longest wait for the loop to be ready once the controller runs, s of real and of loop time.
 START_TIMEOUT_S = 30.0
-#: Farthest jump of an object along and across the table and up, m, and about its vertical, rad.
-_JUMP_M, _JUMP_RAD = np.array([0.12, 0.12, 0.05]), np.radians(30.0)
+#: Farthest jump of an object along and across the table and up, m, and about its vertical, rad;
+#: share of it that stays in view of a camera on the arm.
+_JUMP_M, _JUMP_RAD, _IN_VIEW = np.array([0.12, 0.12, 0.05]), np.radians(30.0), 0.4
+#: The simulator's parameters of the object's place.
+OBJECT = ("object_position_m", "object_rotation_deg")
 
 
-def jump_of_object(rng: np.random.Generator) -> dict[str, list[float]]:
-    """Parameters of the simulator that put its object somewhere else."""
-    position_m = SimConfig.object_position_m + rng.uniform(-_JUMP_M, _JUMP_M)
-    home = rotation_from_vector(np.radians(SimConfig.object_rotation_deg))
-    about_vertical = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(-_JUMP_RAD, _JUMP_RAD)]))
-    rotation_rad = vector_from_rotation_rad(about_vertical @ home)
-    return {
-        "object_position_m": position_m.tolist(),
-        "object_rotation_deg": np.degrees(rotation_rad).tolist(),
-    }
+def jump_of_object(
+    home: dict[str, Sequence[float]], kind: Kind, rng: np.random.Generator
+) -> dict[str, list[float]]:
+    """Parameters of the simulator that put its object somewhere else, near those at ``home``."""
+    share = _IN_VIEW if kind.on_arm else 1.0
+    position_m, rotation_deg = (np.array(home[name]) for name in OBJECT)
+    position_m += rng.uniform(-share * _JUMP_M, share * _JUMP_M)
+    angle_rad = rng.uniform(-share * _JUMP_RAD, share * _JUMP_RAD)
+    about_vertical = rotation_from_vector(np.array([0.0, 0.0, angle_rad]))
+    rotation = about_vertical @ rotation_from_vector(np.radians(rotation_deg))
+    rotation_deg = np.degrees(vector_from_rotation_rad(rotation))
+    return dict(zip(OBJECT, (position_m.tolist(), rotation_deg.tolist()), strict=True))
 
 
 @dataclass

@@ -52,6 +52,8 @@ class DemoNode(ros.FvsNode):
             self._tool: tuple[float, np.ndarray] | None = None  # newest truth, and its stamp
             self._operator = Services(self, partial(print, flush=True))
             self._asked_s, self._jumps = -np.inf, False
+            self._object_home: dict[str, Any] = {}
+        if config.relative and not kind.on_arm:
             kind_of_message = ros.message_class(object_truth.type)
             self.watch(kind_of_message, object_truth.name, self._on_object_truth, ros.QOS_EVERY)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
@@ -85,10 +87,10 @@ class DemoNode(ros.FvsNode):
 
     def _on_truth(self, message: Any) -> None:
         stamp_s, z = self._read(message, self._kind.truth)
-        if self._config.relative:
+        if self._config.relative and not self._kind.on_arm:
             self._tool = stamp_s, z
         else:
-            self._take(stamp_s, z)
+            self._take(stamp_s, self._kind.inverse(z) if self._config.relative else z)
 
     def _on_object_truth(self, message: Any) -> None:
         stamp_s, object_z = self._read(message, self._kind.topics.object_truth)
@@ -140,13 +142,15 @@ class DemoNode(ros.FvsNode):
             self._taught = z
             if now_s - self._asked_s > 0.5:  # the images of a second come first
                 self._asked_s = now_s
+                self._operator.ask(topics.SIM, demo.OBJECT, self._object_home.update)
                 self._operator.call(
                     f"{topics.CONTROLLER}/teach", f"{topics.CONTROLLER}/go_to_reference"
                 )
             return None
-        if not self._jumps:
+        if self._object_home and not self._jumps:
             self._jumps = True
-            for name, value in demo.jump_of_object(self._rng).items():
+            jump = demo.jump_of_object(self._object_home, self._kind, self._rng)
+            for name, value in jump.items():
                 self._operator.set(f"{topics.SIM}/{name}", value)
         assert self._taught is not None
         if length(self._kind.minus(z, self._taught)) < 0.01:

@@ -242,7 +242,7 @@ class Kind(Parameters):
 
     def inverse(self, z: np.ndarray) -> np.ndarray:
         """The camera's frame as seen from what it sees as z, (m,)."""
-        return -z
+        return self.relative(self.of_body(np.zeros(3), np.eye(3)), z)
 
     # ---- rigid bodies ------------------------------------------------------------------------
 

@@ -131,11 +131,6 @@ class Pose(Kind):
         position_m = object_z[:3] + camera_from_object @ relative_z[:3]
         return self.of_body(position_m, camera_from_object @ self.rotation(relative_z))
 
-    def inverse(self, z: np.ndarray) -> np.ndarray:
-        """The pose of the camera in the frame of what it sees at the pose z, (12,)."""
-        back = self.rotation(z).T
-        return self.of_body(-back @ z[:3], back)
-
     def moved_by(self, z: np.ndarray, angular: np.ndarray, linear_m: np.ndarray) -> np.ndarray:
         """Motions, m, (..., 6, n), of z by n twists of space."""
         linear = super().moved_by(z, angular, linear_m)

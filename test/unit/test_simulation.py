@@ -368,6 +368,9 @@ def test_a_bumped_bracket_stays_bumped_while_the_arm_moves(make):
     assert simulation.mounted is mounted
 
 
-def test_an_object_beside_it_is_refused_by_a_camera_on_the_arm():
-    with pytest.raises(ValueError, match="object_tag_id is for a fixed camera"):
-        SimConfig(camera_mount="arm", object_tag_id=10)
+def test_the_objects_tags_are_what_a_camera_on_the_arm_sees(make):
+    simulation = make(feature="pose", camera_mount="arm", object_tag_id=10, rendered=True)
+    assert {*simulation.config.tag.faces} == {10, 11, 12, 13}
+    look = simulation.look()
+    assert look.object_z is None
+    assert np.linalg.norm(simulation.kind.minus(look.z, simulation.true_feature())) < 5e-3
