@@ -11,7 +11,9 @@ A signal (Ctrl-C) stops the arm, and so does what ``go`` or ``follow`` cannot re
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import closing, suppress
@@ -32,6 +34,8 @@ from fvs_ros.arguments import Parser
 
 #: A service answers within this time, s, or nobody is there.
 _ANSWER_S = 10.0
+#: Time between sentences on the way, unless their reason changes, s.
+_FEEDBACK_S = 1.0
 #: Verb -> fewest and most names.
 _VERBS: dict[str, tuple[float, float]] = {
     "teach": (1, 1),
@@ -57,7 +61,8 @@ class Result(NamedTuple):
 class ServoClient:
     """Talks to one controller from a script, or from within any node.
 
-    It has a node and an executor of its own, so that its methods may block anywhere.
+    It has a node and an executor of its own, so that its methods may block anywhere. As a context
+    manager it stops the arm in the end, after SIGTERM and a closed terminal, too.
 
     Parameters
     ----------
@@ -92,6 +97,19 @@ class ServoClient:
             DiagnosticStatus, topics.CONTROLLER + "/status", self._on_status, ros.QOS_NEWEST
         )
         self._clients: dict[str, Any] = {}
+
+    def __enter__(self) -> ServoClient:
+        """Let signals that would end the program raise ``KeyboardInterrupt``, as Ctrl-C does."""
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGTERM, signal.SIGHUP):
+                if signal.getsignal(number) == signal.SIG_DFL:
+                    signal.signal(number, signal.default_int_handler)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Bring the arm to rest, however the block ended, and end the client."""
+        with closing(self):
+            self.stop()
 
     def close(self) -> None:
         """End the client; the arm goes on with what it does."""
@@ -135,20 +153,22 @@ class ServoClient:
         timeout_s : float
             Longest time, s; the arm goes on after it.
         feedback : callable, optional
-            Gets the controller's sentences on the way.
+            Gets the controller's sentences on the way: changes of its reason, else one a second.
         """
         begin_s = time.monotonic()
         try:
             self.follow(name, min(timeout_s, _ANSWER_S))
         except ServoError as error:
             return Result(False, nan, time.monotonic() - begin_s, str(error))
-        status = self._next_status()  # the one after the present one is of this reference
+        said = self._next_status()  # the one after the present one is of this reference
+        said_s, reason = 0.0, ""
         while True:
-            words = status.message
             status = self._next_status(begin_s + timeout_s)
             values, passed_s = ros.from_status(status), time.monotonic() - begin_s
-            if feedback is not None and status.message != words:
+            is_news = values.get("reason") != reason or passed_s > said_s + _FEEDBACK_S
+            if feedback is not None and is_news and status.message != said.message:
                 feedback(status.message)
+                said, said_s, reason = status, passed_s, values.get("reason", "")
             settled = values.get("settled") == "true" and values.get("state") == "SERVOING"
             if values.get("reference") != name:
                 return Result(False, nan, passed_s, "another target was set meanwhile")
