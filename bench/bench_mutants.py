@@ -2,25 +2,34 @@
 
 python -m bench mutants. Each mutant lacks one rule: it never finds a reason, does not heed a
 parameter, or has a function replaced. In the script beside it the promises of
-:mod:`bench.fuzz_promises` are seen broken, and the controller as it is keeps them.
+:mod:`bench.fuzz_promises` are seen broken, and the controller as it is keeps them; or the test
+beside it fails.
 """
 
 from __future__ import annotations
 
 import math
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, redirect_stdout
+from io import StringIO
 from operator import methodcaller as do
 from typing import NamedTuple
 from unittest import mock
 
+import pytest
+
 from bench import fuzz_world
 from bench.bench_fuzz import IMPATIENT, N_AXES, Machine
 from bench.fuzz_world import BALL, FRESH_TICKS, JACOBIAN, OBJECT, BrokenPromiseError
+from fvs_controller_node.goal import Progress
 from fvs_controller_node.node import ControllerNode
 from fvs_controller_node.reasons import Finding, Reason
+from fvs_controller_node.references import References
 from fvs_controller_node.relation import Relation
+from fvs_controller_node.supervisor import Supervisor
+from fvs_estimator_node.in_view import InView
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.view import ViewConfig
 
 #: What happens to the controller: rules of the machine. Together they meet every reason.
 SCRIPTS = {
@@ -189,13 +198,69 @@ MUTANTS = (
     Mutant("the robot program stopped", "PROGRAM_STOPPED", "the program stops", _ZEROS),
     Mutant("the robot program stopped", "SPEED_SCALING_ZERO", "the slider is at zero", _ZEROS),
 )
-#: Rows that the scripts cannot show, of a process, its wires, or a camera on the arm: row -> the
-#: tests that guard it.
-ELSEWHERE = {
-    "a message or request": "test/faults/test_fuzz_messages.py",
-    "the view's edge": "test/closed_loop/test_stay_in_view.py",
-    "any catchable signal": "test/faults/test_hostile_terminal.py",
-}
+
+
+class Tested(NamedTuple):
+    """What the scripts cannot show, and the test that fails without it."""
+
+    #: Of the table, as it begins; empty for what is none of its rows.
+    row: str
+    #: How it is taken away; None where the test runs other processes.
+    without: AbstractContextManager | None
+    test: str  # in the folder test/
+
+
+def takes_any_mount():
+    """The controller takes references that were taught with another camera mount."""
+    begin = References.__init__
+
+    def init(self, *args):
+        begin(self, *args)
+        self._origin["mount"] = mock.ANY
+
+    return mock.patch.object(References, "__init__", init)
+
+
+_NEVER_ASTRAY = mock.patch.object(
+    Progress, "travel_m", property(lambda _: 0.0, lambda *_: None), create=True
+)
+_UNCHANGED = mock.patch.object(InView, "limited", lambda _, velocity, *rest: velocity)
+_FIRST = mock.patch("fvs_estimator_node.on_arm.min", lambda causes, **_: causes[0], create=True)
+
+TESTED = (
+    Tested("a message or request", None, "faults/test_fuzz_messages.py"),
+    Tested("any catchable signal", None, "faults/test_hostile_terminal.py"),
+    Tested(
+        "a target in another frame",
+        mock.patch.object(ViewConfig, "out_of_view", return_value=""),
+        "closed_loop/test_stay_in_view.py::test_a_target_out_of_view_is_refused",
+    ),
+    Tested(
+        "a target in another frame",
+        takes_any_mount(),
+        "unit/test_references.py::test_a_damaged_file_is_refused_with_what_is_wrong",
+    ),
+    Tested(
+        "the view's edge",
+        mock.patch.object(Supervisor, "_view", return_value=None),
+        "closed_loop/test_stay_in_view.py::test_a_way_that_would_leave_the_view_is_bent",
+    ),
+    Tested(
+        "the view's edge",
+        _UNCHANGED,
+        "unit/test_collecting.py::test_the_object_stays_in_view_of_a_camera_on_the_arm",
+    ),
+    Tested(
+        "the image does not follow",
+        _NEVER_ASTRAY,
+        "closed_loop/test_camera_on_arm.py::test_an_image_that_stands_is_no_object_that_is_followed",
+    ),
+    Tested(
+        "",
+        _FIRST,
+        "unit/test_on_arm.py::test_an_object_on_a_belt_is_not_taken_for_a_bumped_bracket",
+    ),
+)
 
 
 def play(script, end=True):
@@ -220,6 +285,15 @@ def caught(mutant):
     return ""
 
 
+def fails(tested):
+    """Whether the test fails without what it tests, and only then."""
+    options = ["-q", "-x", "-p", "no:cacheprovider", f"test/{tested.test}"]
+    with redirect_stdout(StringIO()):
+        passes = pytest.main(options) == pytest.ExitCode.OK
+        with tested.without:
+            return passes and pytest.main(options) == pytest.ExitCode.TESTS_FAILED
+
+
 def main():
     """Print a line for each mutant."""
     for script in SCRIPTS.values():
@@ -229,6 +303,12 @@ def main():
         how = caught(mutant)
         missed += not how
         print(f"{'caught' if how else 'MISSED'}  {mutant.row:34s} {mutant.promise:36s} {how:.60s}")
+    tested = [each for each in TESTED if each.without is not None]
+    for each in tested:
+        how = fails(each)
+        missed += not how
+        print(f"{'caught' if how else 'MISSED'}  {each.row:34s} {each.test.rpartition('::')[2]}")
     if missed:
         raise RuntimeError(f"{missed} mutants not caught")
-    print(f"{len(MUTANTS)} of {len(MUTANTS)} mutants caught")
+    count = len(MUTANTS) + len(tested)
+    print(f"{count} of {count} mutants caught")
