@@ -42,7 +42,8 @@ class JudgedWorld(World):
         self._unchanged_s = 0.0  # what the ticks since the last change of task or limit counted for
 
     def _begin_image(self):
-        """Count anew what the arm does on a wrong image."""
+        """Count anew what the arm does on a wrong image; an object was put elsewhere, maybe."""
+        self._errand = None if self.on_arm else self._errand
         self._from_m, self._travel_m, self._fastest_m_s = self.arm_moved_m(), 0.0, 0.0
 
     def judge(self, command, now_s, dt_s):

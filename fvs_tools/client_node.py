@@ -34,7 +34,7 @@ from fvs_ros.arguments import Parser
 
 #: A service answers within this time, s, or nobody is there.
 _ANSWER_S = 10.0
-#: Time between sentences on the way, unless their reason changes, s.
+#: Time between sentences on the way, unless the state changes, s.
 _FEEDBACK_S = 1.0
 #: Verb -> fewest and most names.
 _VERBS: dict[str, tuple[float, float]] = {
@@ -153,7 +153,7 @@ class ServoClient:
         timeout_s : float
             Longest time, s; the arm goes on after it.
         feedback : callable, optional
-            Gets the controller's sentences on the way: changes of its reason, else one a second.
+            Gets the controller's sentences on the way: at changes of its state, else one a second.
         """
         begin_s = time.monotonic()
         try:
@@ -161,14 +161,14 @@ class ServoClient:
         except ServoError as error:
             return Result(False, nan, time.monotonic() - begin_s, str(error))
         said = self._next_status()  # the one after the present one is of this reference
-        said_s, reason = 0.0, ""
+        said_s, state = 0.0, ""
         while True:
             status = self._next_status(begin_s + timeout_s)
             values, passed_s = ros.from_status(status), time.monotonic() - begin_s
-            is_news = values.get("reason") != reason or passed_s > said_s + _FEEDBACK_S
+            is_news = values.get("state") != state or passed_s > said_s + _FEEDBACK_S
             if feedback is not None and is_news and status.message != said.message:
                 feedback(status.message)
-                said, said_s, reason = status, passed_s, values.get("reason", "")
+                said, said_s, state = status, passed_s, values.get("state", "")
             settled = values.get("settled") == "true" and values.get("state") == "SERVOING"
             if values.get("reference") != name:
                 return Result(False, nan, passed_s, "another target was set meanwhile")
