@@ -168,6 +168,11 @@ class PathFilter:
         """Standard deviation of a coordinate of the estimate, m."""
         return float(self._predicted_m2() ** 0.5)
 
+    @property
+    def in_doubt(self) -> bool:
+        """Whether the newest image is an outlier: it is wrong, or something else has moved."""
+        return bool(self._outliers)
+
     def _predicted_m2(self) -> float:
         return self._P + _MODEL_ERROR**2 * float(self._c.dot(self._c))
 

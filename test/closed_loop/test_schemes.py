@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from cases import each
-from lock_step import EXACT, feature_at, loop_from, run
+from lock_step import EXACT, GOAL_RAD, START_RAD, feature_at, loop_from, run
 
 from fvs_controller_node.reasons import State
 from fvs_estimator_node.files import load_model
@@ -165,3 +165,21 @@ def test_from_a_third_of_a_metre_the_ball_is_on_target_in_time(latency_s):
         assert np.sqrt(np.mean(errors_m[round(2.0 / loop.period_s) :] ** 2)) < 0.0015
         assert np.abs(commands).max() <= 1.0
         assert np.abs(np.diff(commands, axis=0)).max() <= 6.0 * loop.period_s + 1e-12
+
+
+def test_no_joint_speeds_up_while_the_newest_image_is_in_doubt():
+    simulation = simulation_of(EXACT)
+    target = feature_at(simulation, GOAL_RAD)
+    loop = loop_from("best", START_RAD, simulation)
+    loop.set_target(target)
+    before, doubtful = np.zeros(6), 0
+    for tick in range(40):
+        if tick == 10:
+            simulation.camera = simulation.camera.moved(np.array([0.0, 0.05, 0.0]))
+        velocity = loop.tick().velocity_rad_s
+        if loop.loop.track.filter.in_doubt:
+            doubtful += 1
+            assert np.all(np.abs(velocity) <= np.abs(before))
+            assert np.all(velocity * before >= 0.0)
+        before = velocity
+    assert doubtful > 2
