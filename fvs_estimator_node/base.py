@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fvs_ros.chain import SerialChain
+from fvs_ros.filter import Image
 from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.params import Parameters
@@ -98,21 +99,10 @@ class Estimator(ABC):
         Of a kind that is flat, it does not depend on z.
         """
 
-    def observe(  # noqa: B027
-        self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float, stamp_s: float = 0.0
-    ) -> None:
+    def observe(self, image: Image, noise_m: float) -> None:  # noqa: B027
         """Take every image that is no outlier, also at rest, before the update.
 
-        Parameters
-        ----------
-        joints_rad : ndarray, shape (n,)
-            Joints at the exposure, rad.
-        z : ndarray, shape (m,)
-            The feature, camera frame.
-        noise_m : float
-            Standard deviation of a coordinate of it, as learned so far, m.
-        stamp_s : float
-            The exposure, s.
+        ``noise_m`` is the standard deviation of a coordinate of it, as learned so far, m.
         """
 
     def update(self, step: MotionStep) -> None:  # noqa: B027

@@ -16,7 +16,7 @@ import numpy as np
 from fvs_estimator_node.base import CHAIN, NETWORKS, Estimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_ros.chain import SerialChain
-from fvs_ros.filter import OUTLIER
+from fvs_ros.filter import OUTLIER, Image
 from fvs_ros.kinds import Kind
 from fvs_ros.rotations import nearest_rotation, rotation_angle_rad
 from fvs_ros.vectors import largest, length
@@ -24,7 +24,7 @@ from fvs_ros.vectors import largest, length
 #: Prior deviation of the rotation, rad, and memory (positions until a weight has decayed by 63 %),
 #: for the positions of a chain and for those summed from networks.
 _CHAIN, _NETWORKS = (0.01, 1000.0), (0.14, 30.0)
-#: A position off by more than this, m, beyond the noise is a bump.
+#: What is off by more than this, m, beyond the noise, shows a bump.
 _BUMP_M = 0.01
 #: Largest prior deviation of the rotation after a bump, rad. It applies to a bump that follows
 #: another within this number of positions: the first one did not show all of the rotation. (After
@@ -37,6 +37,17 @@ _STILL_M = 0.002
 
 
 _NO_DIRECTIONS = np.zeros((0, 3))
+
+
+def shows_bump(off_m: float, deviation_m: float) -> bool:
+    """Whether what was seen is off, m, by more than its standard deviation, m, explains."""
+    return off_m > _BUMP_M + OUTLIER * deviation_m
+
+
+def camera_values(rotation: np.ndarray, bumps: int) -> dict[str, float]:
+    """How far a camera has been turned, and how often it was bumped, for a status."""
+    turned_deg = math.degrees(rotation_angle_rad(rotation))
+    return {"camera_turned_deg": turned_deg, "camera_bumps": float(bumps)}
 
 
 class CameraPose:
@@ -96,7 +107,7 @@ class CameraPose:
         residual_m = math.hypot(residual_m, length(direction_m.ravel()))
         deviation_rad = self._rotation_deviation_rad(noise_m)
         reach_m = length(model_m - self._mean_p) if self._weight else 0.0
-        if residual_m > _BUMP_M + OUTLIER * math.hypot(noise_m, deviation_rad * reach_m):
+        if shows_bump(residual_m, math.hypot(noise_m, deviation_rad * reach_m)):
             self.bumps += 1
             # A rotation moves the ball by angle times distance, but not if it is about the ball.
             rotation_rad = residual_m / max(length(image_m), 1e-3)
@@ -149,9 +160,8 @@ class _BehindCamera(Estimator):
 
     def status_values(self) -> dict[str, float]:
         """Counts, how far the camera has been turned, and how often it was bumped."""
-        turned_deg = math.degrees(rotation_angle_rad(self.camera.rotation))
-        camera = {"camera_turned_deg": turned_deg, "camera_bumps": float(self.camera.bumps)}
-        return {**super().status_values(), **camera}
+        camera = self.camera
+        return {**super().status_values(), **camera_values(camera.rotation, camera.bumps)}
 
 
 class PoeEstimator(_BehindCamera):
@@ -176,13 +186,11 @@ class PoeEstimator(_BehindCamera):
         """Estimate at joints, rad, (n,): m/rad, shape (d, n)."""
         return self._rotated(self.kind.moved_by(*self._fitted.motion(joints_rad)))
 
-    def observe(
-        self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float, stamp_s: float = 0.0
-    ) -> None:
+    def observe(self, image: Image, noise_m: float) -> None:
         """Learn the camera's pose from where the feature is."""
-        model = self._fitted.position(joints_rad)
-        directions = self.kind.directions(model), self.kind.directions(z)
-        self.camera.add(model[:3], z[:3], noise_m, *directions)
+        model = self._fitted.position(image.joints_rad)
+        directions = self.kind.directions(model), self.kind.directions(image.z)
+        self.camera.add(model[:3], image.z[:3], noise_m, *directions)
         self.updates += 1
 
 
@@ -207,13 +215,12 @@ class TurnedRbfEstimator(_BehindCamera):
         columns = self._rotated(self._model.jacobian(joints_rad))
         return columns if z is None else self.kind.to_tangent(z, columns)
 
-    def observe(
-        self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float, stamp_s: float = 0.0
-    ) -> None:
+    def observe(self, image: Image, noise_m: float) -> None:
         """Learn the camera's rotation from the motion of the position.
 
         Directions say nothing before the camera's rotation is known.
         """
+        joints_rad, z = image.joints_rad, image.z
         if self._joints is None:
             self._sum_m = self.camera.rotation.T @ (z[:3] - self.camera.translation_m)
         else:

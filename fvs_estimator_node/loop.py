@@ -117,8 +117,7 @@ class EstimationLoop:
             return
         for image in images:
             step = self._step(image)
-            noise_m = self.track.filter.noise_m
-            self.estimator.observe(image.joints_rad, image.z, noise_m, image.stamp_s)
+            self.estimator.observe(image, self.track.filter.noise_m)
             if step is not None:
                 self.estimator.update(step)
                 self.steps += 1

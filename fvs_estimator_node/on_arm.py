@@ -5,10 +5,10 @@ z0 at the reference joints is measured as
 
     z = D G(r) z0,
 
-where D is how the camera's bracket has been moved since. What an image is off may have two causes:
-the bracket was moved, or the object moves by itself. Each is fitted by least squares to the last
-images, and the one that explains them better counts. The Jacobian is that of the object where the
-newest image shows it.
+where D is how the camera's bracket has been moved since. An image that is off shows that the object
+was put elsewhere, that it moves by itself, that the bracket was bumped, or both. Each cause is
+fitted by least squares to the images since; that of the largest evidence counts. The Jacobian is
+that of the object where the newest image shows it.
 """
 
 from __future__ import annotations
@@ -22,19 +22,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fvs_estimator_node.base import CHAIN, Estimator
+from fvs_estimator_node.camera import camera_values, shows_bump
 from fvs_ros.chain import SerialChain, cross_matrix
-from fvs_ros.filter import OUTLIER
+from fvs_ros.filter import Image
 from fvs_ros.kinds import Kind
-from fvs_ros.rotations import rotation_angle_rad, rotation_from_vector
 from fvs_ros.vectors import largest, length
 
 #: Images that are kept, and the least motion between two of them, m and rad.
 _WINDOW, _STILL_M, _STILL_RAD = 60, 0.004, 0.01
-#: Prior deviation of the bracket's rotation, rad, as of a training, and after a bump; and of the
-#: object's velocity, rad/s. Those of shifts are the same at an arm's length of this, m.
-_DEVIATION_RAD, _BUMPED_RAD, _MOVING_RAD_S, _ARM_M = 0.005, 0.3, 1.0, 0.3
-#: An image off by more than this, m, beyond the noise, shows a bump, or a moved object.
-_BUMP_M = 0.01
+#: Prior deviation of the bracket's rotation, rad, as of a training; of that of what has been moved,
+#: bracket or object, and of the object's velocity, rad/s. Those of shifts are the same at an arm's
+#: length of this, m.
+_DEVIATION_RAD, _ELSEWHERE_RAD, _MOVING_RAD_S, _ARM_M = 0.005, 0.3, 1.0, 0.3
 #: Of D, of z0, and of the velocity of z0, among the unknowns.
 _BRACKET, _OBJECT, _VELOCITY = slice(6), slice(6, 12), slice(12, 18)
 
@@ -46,87 +45,79 @@ class _Seen(NamedTuple):
     """
 
     stamp_s: np.ndarray
-    joints_rad: np.ndarray
     z: np.ndarray
     motion: np.ndarray
 
 
+class _State(NamedTuple):
+    """D, (4, 4), and z0, (m / 3, 4), of rows, at a time, s, with its velocity, (6,)."""
+
+    bracket: np.ndarray
+    carried: np.ndarray
+    velocity: np.ndarray
+    time_s: float
+
+
 class _Cause:
-    """D, z0 and its velocity by the images, one of D and the velocity being known.
+    """D, z0 and its velocity by the images, where some of them may have changed.
 
     Parameters
     ----------
     weights : ndarray, shape (m,)
         Lengths of the numbers of z.
-    bracket : ndarray, shape (4, 4)
-        D to begin with, for rows.
+    state : _State
+        What was known before.
     deviation : ndarray, shape (18,)
         Prior deviations; 0 where nothing changes.
     """
 
-    def __init__(self, weights: np.ndarray, bracket: np.ndarray, deviation: np.ndarray) -> None:
-        self._weights = weights.reshape(-1, 3)[..., None]
-        #: Which rows of z are points, and not directions.
-        self._is_point = (np.arange(len(self._weights)) == 0).astype(float)
-        self._free, self._deviation = np.flatnonzero(deviation), np.maximum(deviation, 1e-12)
-        #: Unknowns that are likely to be small: all but those of z0.
-        self._has_prior = (deviation > 0.0) & np.repeat([True, False, True], 6)
-        self._known = np.zeros(18)  # the unknowns, summed up
-        self.bracket, self.covariance, self.cost = bracket, np.zeros((18, 18)), 0.0
-        self.object: np.ndarray | None = None  # z0 at the newest image, in rows
-        self._newest_s = 0.0
+    def __init__(self, weights: np.ndarray, state: _State, deviation: np.ndarray) -> None:
+        self._weights, self.state = weights.reshape(-1, 3)[..., None], state
+        self._free = np.flatnonzero(deviation)
+        self._deviation, self._change = deviation[self._free], np.zeros(len(self._free))
+        self.covariance, self.cost = np.diag(deviation**2), 0.0
+        self.bumped = bool(deviation[0] > _DEVIATION_RAD)
 
     def residuals(self, images: _Seen) -> tuple[np.ndarray, np.ndarray]:
         """What k images miss, m, (k m,), and its slopes by the unknowns, (k m, 18)."""
-        assert self.object is not None
-        motions = images.motion @ self.bracket
-        since_s = images.stamp_s[:, None, None] - self._newest_s
-        there = self.object + since_s * self._moved(self.object, self._known[_VELOCITY])
-        seen = (there @ motions)[..., :3]
-        points = self._is_point[:, None, None] * np.eye(3)
+        bracket, carried, velocity, time_s = self.state
+        motions = images.motion @ bracket
+        since_s = images.stamp_s - time_s
+        seen = (carried @ _motions(velocity, since_s) @ motions)[..., :3]
+        points = carried[:, 3, None, None] * np.eye(3)  # directions are not shifted
         by_bracket = np.concatenate(
             [-cross_matrix(seen), np.broadcast_to(points, (*seen.shape, 3))], axis=-1
         )
-        by_object = np.concatenate([-cross_matrix(self.object[:, :3]), points], axis=-1)
+        by_object = np.concatenate([-cross_matrix(carried[:, :3]), points], axis=-1)
         turned = np.swapaxes(motions[:, None, :3, :3], -1, -2) @ by_object
-        slopes = np.concatenate([by_bracket, turned, since_s[..., None] * turned], axis=-1)
+        by_velocity = since_s[:, None, None, None] * turned
+        slopes = np.concatenate([by_bracket, turned, by_velocity], axis=-1)
         residual = self._weights[..., 0] * (images.z.reshape(seen.shape) - seen)
         return residual.ravel(), (self._weights * slopes).reshape(-1, 18)
 
     def learn(self, images: _Seen, noise_m: float) -> None:
         """One step of least squares over the images, the newest last."""
-        newest_s = float(images.stamp_s[-1])
-        if self.object is None:
-            rows = np.insert(images.z[-1].reshape(-1, 3), 3, self._is_point, axis=1)
-            self.object = np.linalg.solve((images.motion[-1] @ self.bracket).T, rows.T).T
-            self._newest_s = newest_s
-            return
-        passed_s, self._newest_s = newest_s - self._newest_s, newest_s
-        self.object = self.object + passed_s * self._moved(self.object, self._known[_VELOCITY])
-        free, before = self._free, (self.bracket, self.object, self._known)
+        bracket, carried, velocity, time_s = self.state
+        newest_s, free, deviation = float(images.stamp_s[-1]), self._free, self._deviation
+        carried = carried @ _motions(velocity, newest_s - time_s)
+        self.state = before = _State(bracket, carried, velocity, newest_s)
         residual, slopes = self.residuals(images)
         cost, slopes = self._cost(residual, noise_m), slopes[:, free] / noise_m
-        covariance = np.linalg.inv(slopes.T @ slopes + np.diag(self._deviation[free] ** -2))
-        step = np.zeros(18)
-        prior = np.where(self._has_prior, self._known / self._deviation**2, 0.0)
-        step[free] = covariance @ (slopes.T @ residual / noise_m - prior[free])
-        self._known = self._known + step
-        self.bracket = self.bracket @ _motion(step[_BRACKET])
-        self.object = self.object @ _motion(step[_OBJECT])
-        self.covariance[np.ix_(free, free)] = covariance
-        self.cost = self._cost(self.residuals(images)[0], noise_m)
-        if not self.cost <= cost:  # the wrong cause may lead anywhere
-            self.cost, (self.bracket, self.object, self._known) = cost, before
+        precision = slopes.T @ slopes + np.diag(deviation**-2)
+        covariance, step, change = np.linalg.inv(precision), np.zeros(18), self._change
+        step[free] = covariance @ (slopes.T @ residual / noise_m - change / deviation**2)
+        bracket, carried = bracket @ _motions(step[_BRACKET]), carried @ _motions(step[_OBJECT])
+        self.state = _State(bracket, carried, velocity + step[_VELOCITY], newest_s)
+        self._change, self.covariance[np.ix_(free, free)] = change + step[free], covariance
+        after = self._cost(self.residuals(images)[0], noise_m)
+        if not after <= cost:  # the wrong cause may lead elsewhere
+            after, self.state, self._change = cost, before, change
+        # Twice the negative logarithm of the evidence.
+        self.cost = after + float(np.linalg.slogdet(precision * np.outer(deviation, deviation))[1])
 
     def _cost(self, residual_m: np.ndarray, noise_m: float) -> float:
-        changed = (self._known / self._deviation)[self._has_prior]
+        changed = self._change / self._deviation
         return float(residual_m.dot(residual_m)) / noise_m**2 + float(changed.dot(changed))
-
-    def _moved(self, rows: np.ndarray, twist: np.ndarray) -> np.ndarray:
-        """Motions of rows by a twist w, v."""
-        moved = np.zeros_like(rows)
-        moved[:, :3] = np.cross(twist[:3], rows[:, :3]) + self._is_point[:, None] * twist[3:]
-        return moved
 
 
 class OnArmPoeEstimator(Estimator):
@@ -142,21 +133,10 @@ class OnArmPoeEstimator(Estimator):
     def reset(self) -> None:
         """Take the bracket to be as it was at the training."""
         super().reset()
-        self.bumps = 0
+        self._bumps = 0
         self._moved = self._chain = self._fitted
-        self._begin(np.eye(4), _DEVIATION_RAD)
-
-    def _begin(self, bracket: np.ndarray, deviation_rad: float) -> None:
-        """Forget the images; the bracket may be off by so much."""
         self._images: deque[_Seen] = deque(maxlen=_WINDOW)
-        unit = np.repeat([1.0, _ARM_M], 3)
-        free = unit if self.kind.numbers > 3 else np.repeat([0.0, _ARM_M], 3)  # no point turns
-        by_bracket = np.concatenate([deviation_rad * unit, 10.0 * free, 0.0 * unit])
-        by_object = np.concatenate([0.0 * unit, 10.0 * free, _MOVING_RAD_S * free])
-        self._causes = [
-            _Cause(self.kind.weights, bracket, deviation) for deviation in (by_bracket, by_object)
-        ]
-        self._cause = self._causes[0]
+        self._cause: _Cause | None = None
 
     @property
     def chain(self) -> SerialChain:
@@ -168,48 +148,83 @@ class OnArmPoeEstimator(Estimator):
         there, angular, linear_m = self._chain.motion(joints_rad)
         return self.kind.moved_by(there if z is None else z, angular, linear_m)
 
-    def observe(
-        self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float, stamp_s: float = 0.0
-    ) -> None:
+    def observe(self, image: Image, noise_m: float) -> None:
         """Learn the bracket's pose, and where the object is."""
-        image = _Seen(np.array(stamp_s), joints_rad, z, self._fitted.transform(joints_rad))
-        if self._images:
-            residual, slopes = self._cause.residuals(_stacked([image]))
-            unsure_m2 = float(np.vdot(slopes @ self._cause.covariance, slopes))
-            off_m = length(residual)
-            if off_m > _BUMP_M + OUTLIER * math.sqrt(unsure_m2 + len(residual) * noise_m**2):
-                self.bumps += 1
-                self._begin(self._cause.bracket, _BUMPED_RAD)
+        joints_rad, z = image.joints_rad, image.z
+        seen = _Seen(np.array(image.stamp_s), z, self._fitted.transform(joints_rad))
+        if self._cause is None or self._is_off(self._cause, seen, noise_m):
+            self._begin(seen, self._cause)
         if not self._images or self._says_more(image):
-            self._images.append(image)
+            self._last = image
+            self._images.append(seen)
             images = _stacked(self._images)
             for cause in self._causes:
                 cause.learn(images, noise_m)
             self._cause = min(self._causes, key=attrgetter("cost"))
-            bracket = self._cause.bracket
+            bracket = self._cause.state.bracket
             self._moved = self._fitted.moved(bracket[:3, :3].T, bracket[3, :3])
         self._chain = self._moved.anchored(joints_rad, z)
         self.updates += 1
 
-    def _says_more(self, image: _Seen) -> bool:
+    def _is_off(self, cause: _Cause, seen: _Seen, noise_m: float) -> bool:
+        """Whether what was seen is further off than the noise."""
+        residual, slopes = cause.residuals(_stacked([seen]))
+        unsure_m2 = float(np.vdot(slopes @ cause.covariance, slopes))
+        return shows_bump(length(residual), math.sqrt(unsure_m2 + len(residual) * noise_m**2))
+
+    def _begin(self, seen: _Seen, before: _Cause | None) -> None:
+        """Forget the images, and look for causes of what is seen now."""
+        self._bumps, self._images = self.bumps, deque(maxlen=_WINDOW)
+        unit, known = np.repeat([1.0, _ARM_M], 3), np.zeros(18)
+        free = unit if self.kind.numbers > 3 else np.repeat([0.0, _ARM_M], 3)  # no point turns
+        bracket, velocity = np.eye(4), np.zeros(6)
+        if before is not None:
+            known = np.sqrt(np.diag(before.covariance))
+            bracket, velocity = before.state.bracket, before.state.velocity
+        rows = np.insert(seen.z.reshape(-1, 3), 3, 0.0, axis=1)
+        rows[0, 3] = 1.0
+        carried = np.linalg.solve((seen.motion @ bracket).T, rows.T).T
+        state = _State(bracket, carried, velocity, float(seen.stamp_s))
+        as_before = known[_VELOCITY]
+        elsewhere, bumped = _ELSEWHERE_RAD * free, _ELSEWHERE_RAD * unit
+        causes = [
+            (state, _DEVIATION_RAD * unit, elsewhere, as_before),
+            (state, 0.0 * unit, elsewhere, _MOVING_RAD_S * free),
+        ]
+        if before is not None:
+            causes.append((before.state, bumped, known[_OBJECT], as_before))
+            causes.append((state, bumped, elsewhere, as_before))
+        self._causes = [
+            _Cause(self.kind.weights, start, np.concatenate(deviations))
+            for start, *deviations in causes
+        ]
+
+    def _says_more(self, image: Image) -> bool:
         """Whether an image differs from the newest that was kept."""
-        last = self._images[-1]
-        way_m = length((image.z - last.z) * self.kind.weights)
-        return way_m > _STILL_M or largest(image.joints_rad - last.joints_rad) > _STILL_RAD
+        way_m = length((image.z - self._last.z) * self.kind.weights)
+        return way_m > _STILL_M or largest(image.joints_rad - self._last.joints_rad) > _STILL_RAD
+
+    @property
+    def bumps(self) -> int:
+        """How often the bracket was bumped."""
+        return self._bumps + (self._cause is not None and self._cause.bumped)
 
     def status_values(self) -> dict[str, float]:
-        """Counts, how far the bracket has been turned, and how often something was moved."""
-        turned_deg = math.degrees(rotation_angle_rad(self._cause.bracket[:3, :3]))
-        camera = {"camera_turned_deg": turned_deg, "camera_bumps": float(self.bumps)}
-        return {**super().status_values(), **camera}
+        """Counts, how far the bracket has been turned, and how often it was bumped."""
+        turned = np.eye(3) if self._cause is None else self._cause.state.bracket[:3, :3]
+        return {**super().status_values(), **camera_values(turned, self.bumps)}
 
 
 def _stacked(images: Iterable[_Seen]) -> _Seen:
     return _Seen(*map(np.stack, zip(*images, strict=True)))
 
 
-def _motion(twist: np.ndarray) -> np.ndarray:
-    """The motion by a small twist w, v, (6,), for rows, (4, 4)."""
-    motion = np.eye(4)
-    motion[:3, :3], motion[3, :3] = rotation_from_vector(twist[:3]).T, twist[3:]
-    return motion
+def _motions(twist: np.ndarray, times_s: np.ndarray | float = 1.0) -> np.ndarray:
+    """The motions by a twist w, v, (6,), for times, s, (...), for rows, (..., 4, 4)."""
+    times_s = np.asarray(times_s)[..., None, None]
+    rate = length(twist[:3])
+    k = cross_matrix(-twist[:3] / max(rate, 1e-12))
+    motions = np.zeros((*times_s.shape[:-2], 4, 4))
+    motions[..., :3, :3] = np.sin(rate * times_s) * k + (1.0 - np.cos(rate * times_s)) * (k @ k)
+    motions[..., 3:, :3] = times_s * twist[3:]
+    return motions + np.eye(4)

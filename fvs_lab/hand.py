@@ -23,6 +23,7 @@ from fvs_lab.relative import VISP_1_S, joints_at
 from fvs_lab.results import Results, median
 from fvs_lab.trials import Bump, Case, Joints, Trial, Vector, along, drive, relative_errors
 from fvs_ros.chain import SerialChain
+from fvs_ros.filter import Image
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.limits import JointLimits, with_urdf_limits
@@ -197,11 +198,9 @@ def to_second(task: tuple[Arm, int]) -> dict[str, Any]:
 class Calibrated(OnArmPoeEstimator):
     """The robot's kinematics and a measured hand-eye, in which nothing is corrected."""
 
-    def observe(
-        self, joints_rad: np.ndarray, z: np.ndarray, noise_m: float, stamp_s: float = 0.0
-    ) -> None:
+    def observe(self, image: Image, noise_m: float) -> None:
         """See where the object is."""
-        self._chain = self._fitted.anchored(joints_rad, z)
+        self._chain = self._fitted.anchored(image.joints_rad, image.z)
         self.updates += 1
 
 

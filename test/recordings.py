@@ -10,6 +10,7 @@ from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.chain import SerialChain
+from fvs_ros.filter import Image
 from fvs_ros.joints import UR_JOINT_NAMES
 
 _RATE_HZ = 30.0
@@ -90,6 +91,11 @@ class Recording:
         """Joints anywhere in the box, rad, shape (count, 6)."""
         draws = np.random.default_rng([self.seed, 4]).uniform(-1.0, 1.0, (count, 6))
         return ur5_dh.HOME_RAD + draws * np.array(self.reach_rad)
+
+
+def image(joints_rad, z, stamp_s=0.0) -> Image:
+    """An image of which an estimator observes no path."""
+    return Image(stamp_s, joints_rad, z, np.zeros(0), np.zeros(0))
 
 
 def relative_error(jacobian: np.ndarray, true: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from cases import each
 
 from fvs_controller_node.reasons import Reason, State
@@ -11,13 +12,14 @@ from fvs_estimator_node.registry import create_estimator
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.closed_loop import ClosedLoop
+from fvs_tools.schemes import SCHEMES, Scheme
+
+EXACT = SimConfig(camera_mount="arm", rendered=False, position_noise_m=2e-4)
 
 
 def loop_on_arm(feature, law="minimum_time", method="poe", **values):
     """A loop with the chain that a faultless training finds, half a second after its start."""
-    simulation = Simulation(
-        SimConfig(feature=feature, camera_mount="arm", rendered=False, position_noise_m=2e-4)
-    )
+    simulation = Simulation(replace(EXACT, feature=feature))
 
     class Trained:
         chain = simulation.true_chain()
@@ -94,6 +96,23 @@ def test_a_frozen_picture_is_no_object_that_is_followed_at_the_target():
     loop.simulation._blurred = lambda *_: target
     loop.run(1.0)
     assert loop.loop.supervisor.last.state is State.HOLDING
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        *SCHEMES.values(),
+        *(Scheme(method, method, "proportional", "") for method in ("frozen", "lkf", "rls")),
+    ],
+    ids=lambda scheme: scheme.name,
+)
+def test_the_networks_of_a_chain_serve_every_scheme_of_the_paper(scheme):
+    loop = ClosedLoop.of_scheme(scheme, Simulation(replace(EXACT, feature="pose")))
+    put_object(loop, np.array([0.04, -0.03, 0.05]))
+    loop.run(0.5)
+    target = view_from(loop)
+    loop.set_target(target)
+    assert np.linalg.norm(errors_m(loop, target, 3.0)[-1]) < 1e-3
 
 
 def test_a_taught_view_is_reached_again_after_the_object_moved():

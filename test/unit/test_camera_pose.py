@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import ur5_dh
 from cases import each
-from recordings import Recording, relative_error, rotation_about, ur5_chain
+from recordings import Recording, image, relative_error, rotation_about, ur5_chain
 
 from fvs_estimator_node.camera import (
     CameraPose,
@@ -72,7 +72,7 @@ def see(estimator, chain, joints, rng):
     """Let it see a ball on a chain at joints, rad, shape (k, n)."""
     balls = chain.position(joints) + NOISE_M * rng.normal(size=(len(joints), 3))
     for angles, ball in zip(joints, balls, strict=True):
-        estimator.observe(angles, ball, NOISE_M)
+        estimator.observe(image(angles, ball), NOISE_M)
 
 
 @pytest.mark.parametrize(("method", "within"), [("poe", 0.01), ("rbf_left", 0.12)])
@@ -109,7 +109,7 @@ def test_each_bump_is_counted_and_nothing_else(bumped_s):
     data, estimator = recording.data(), PoeEstimator(recording.chain())
     for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.z, strict=True):
         seen = turned @ ball if stamp_s > bumped_s else ball
-        estimator.observe(joints, seen, NOISE_M)
+        estimator.observe(image(joints, seen), NOISE_M)
     assert estimator.camera.bumps == int(bumped_s < 20.0)
 
 

@@ -37,8 +37,8 @@ class Recorder(Estimator):
     def jacobian(self, joints_rad, z=None):
         return JACOBIAN
 
-    def observe(self, joints_rad, ball_m, noise_m, stamp_s=0.0):
-        self.balls.append(ball_m - JACOBIAN @ joints_rad)
+    def observe(self, image, noise_m):
+        self.balls.append(image.z - JACOBIAN @ image.joints_rad)
 
     def update(self, step):
         self.steps.append(step)
