@@ -43,12 +43,10 @@ class ControllerConfig(CommandInterface):
         True,
         "Feed-forward for targets that are updated often; off, every target is fixed.",
     )
-    joint_backlash_rad: float = live_parameter(
-        0.0,
-        "Play between a motor, whose angle joint_states has, and its joint, rad; 0.017 for hobby "
-        "servos.",
-        0.0,
-        0.2,
+    rest_when_settled: bool = live_parameter(
+        False,
+        "Whether the arm rests once settled, until the error exceeds settled_error_m again: servos "
+        "that stop short would hunt. Where the model knows of play it always does.",
     )
 
 

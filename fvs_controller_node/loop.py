@@ -69,7 +69,7 @@ class ServoLoop:
         self.kind = self.supervisor.config.kind
         self.track, self._agreement = Track(self.kind), Agreement()
         self._drive_lag, self._following = DriveLag(), Following()
-        self._backlash, self._backlash_rad = Backlash(), 0.0
+        self._backlash, self._play_rad = Backlash(), np.zeros(1)
         self._lens = Lens(self.kind)
         self._relation = Relation(self.kind, self.supervisor.goal, self._lens)
         self._teacher = Teacher(self.kind, self._lens)
@@ -99,8 +99,8 @@ class ServoLoop:
         own = ControllerConfig.from_values(values)
         self.supervisor.configure(SupervisorConfig.from_values(values))
         self.law, self._feeds_forward = law, own.target_feed_forward
+        self._rest_when_settled = own.rest_when_settled
         self._object_moves = self.supervisor.config.follows_object
-        self._backlash_rad = own.joint_backlash_rad
         # What is learned is the lag of velocities; a position drive may take longer.
         self._least_lag_s = LONGEST_LAG_S if own.command_interface == POSITION else 0.0
         self._following.restart()  # a range may count for another length now
@@ -126,7 +126,7 @@ class ServoLoop:
             self._following.restart()
         self._stamp_s = stamp_s
         compare = servoing and inputs.full_speed
-        joints = self._backlash.joints(joints, self._backlash_rad)
+        joints = self._backlash.joints(joints, self._play_rad)
         self._joints = self._drive_lag.add(stamp_s, velocity, joints, compare)
         if self._chain is not None:
             self._jacobian = self.kind.moved_by(*self._chain.motion(self._joints))
@@ -248,6 +248,7 @@ class ServoLoop:
         The Jacobian that comes with it counts as the message.
         """
         self._chain, self._chain_s, self._lens.error = chain, now_s, chain.lens
+        self._play_rad = chain.play_rad
 
     # ---- the target ---------------------------------------------------------------------------
 
@@ -326,10 +327,18 @@ class ServoLoop:
 
     def _set_target(self, *target: Any) -> tuple[bool, str]:
         goal = self.supervisor.goal
+        before = goal.target
         accepted, text = goal.set(*target)
         if accepted:
+            other = before is None or (before != target[0]).any()
+            if self._may_rest and other and not goal.moving:
+                goal.progress.restart()  # it rests at this one only, however near
             self._note(Change.MEASUREMENT if goal.moving and self._feeds_forward else Change.TARGET)
         return accepted, text
+
+    @property
+    def _may_rest(self) -> bool:
+        return self._rest_when_settled or bool(self._play_rad.any())
 
     def _note(self, change: Change) -> None:
         if self._change is not Change.TARGET:
@@ -392,6 +401,8 @@ class ServoLoop:
         last = self.supervisor.velocity_rad_s
         if dt_s <= 0.0:  # it repeats the last command
             return None, ControlOutput.plain(last, self.kind.size)
+        if self._rests:
+            return None, ControlOutput.plain(np.zeros_like(last), self.kind.size)
         finding, output = None, None
         try:
             output = checked(self._propose(present, last, dt_s), len(last), self.kind.size)
@@ -404,6 +415,13 @@ class ServoLoop:
             self.sliding_variable = output.sliding_variable
         self._change, self._new_image = Change.NOTHING, False
         return finding, output
+
+    @property
+    def _rests(self) -> bool:
+        """Whether it has arrived where motors would only hunt in the play of their joints."""
+        goal = self.supervisor.goal
+        moving = any(v is not None and v.any() for v in (goal.velocity_m_s, self._drift_m_s))
+        return self._may_rest and goal.progress.settled and not moving
 
     def _propose(self, present: Present, applied: np.ndarray, dt_s: float) -> ControlOutput:
         """Ask the law, with arm and target predicted to when its command takes effect."""

@@ -257,7 +257,7 @@ class Supervisor:
             fast = min(fast, _LEAVING_RAD_S)
             self._singularity.go_on(dt_s)
         wanted, pending_rad = np.asarray(output.velocity_rad_s, float), self._present.pending_rad
-        view = self._view()
+        view = self._view() if wanted.any() else None  # what rests is not led off its target
         active += self._limiter.move(wanted, joints, dt_s, pending_rad, fast, view)
         self._where = next((limit for limit in active if limit in WHERE), "")
         reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING

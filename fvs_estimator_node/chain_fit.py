@@ -26,12 +26,11 @@ from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.chain_chart import OFFSET, Chart, residuals_and_slopes
 from fvs_estimator_node.files import DataSet
-from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path
-from fvs_ros.chain import MOST_LENS, SerialChain, cross_matrix
+from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path, behind_play
+from fvs_ros.chain import MOST_LENS, MOST_PLAY_RAD, SerialChain, cross_matrix
 from fvs_ros.filter import OUTLIER
-from fvs_ros.kinds import Kind
 from fvs_ros.timeline import MAX_GAP_S
-from fvs_ros.vectors import LARGEST, plausible
+from fvs_ros.vectors import LARGEST, largest, plausible
 
 #: Fewest images that a chain is fitted to.
 _MIN_SAMPLES = 200
@@ -58,6 +57,8 @@ _LENS_PRIOR = np.array([0.1, 0.2])
 _LENS_DEVIATIONS, _LEAST_LENS = 3.0, 0.002
 #: Fits behind the lens that was found last: of an error of 5 %, 0.01 % remain.
 _LENS_ROUNDS = 2
+#: Play: least that counts, beside as many deviations, and prior deviation, rad; fits behind it.
+_LEAST_PLAY_RAD, _PLAY_PRIOR_RAD, _PLAY_ROUNDS = 2e-3, 0.02, 8
 #: Step of the derivatives of the Jacobian by the coordinates, rad and m.
 _STEP = 1e-4
 
@@ -95,6 +96,8 @@ class ChainFit:
         it is notable, the chain has it as well, and the figures above are those without it.
     lens_covariance : ndarray, shape (2, 2)
         Of the lens, by the noise.
+    play_rad : ndarray, shape (n,)
+        Play as far as it is notable, rad; that of the chain, once a fit behind it changes nothing.
     covariance : ndarray, shape (4 n + m + 1, 4 n + m + 1)
         Of the coordinates of :class:`~fvs_estimator_node.chain_chart.Chart` at the chain, by the
         noise; rad, m and s.
@@ -115,6 +118,7 @@ class ChainFit:
     samples: int
     lens: np.ndarray
     lens_covariance: np.ndarray
+    play_rad: np.ndarray
     covariance: np.ndarray
     unfitted: np.ndarray
 
@@ -204,13 +208,19 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
         raise ChainFitError(
             f"the {data.kind.what} does not move in the data set, so there is no chain to find"
         )
-    fitting = _Fitting(path, data.z[path.indices], data.kind)
+    fitting = _Fitting(data, np.zeros(data.joints_rad.shape[1]))
     # Matrices of few columns: on a busy machine more threads took twenty times as long.
     with threadpool_limits(1):
         say("looking for the axes")
         start = fitting.start()
         say("fitting")
-        return _behind_lens(fitting.finish(start), path, data)
+        fit = fitting.finish(start)
+        for _ in range(_PLAY_ROUNDS):
+            if largest(fit.play_rad - fit.chain.play_rad) < 0.1 * _LEAST_PLAY_RAD:
+                break
+            start = _Optimum(fit.chain.weighted(data.kind.weights), fit.time_offset_s, 0.0)
+            fit = _Fitting(data, fit.play_rad).finish(start)
+        return _behind_lens(fit, path, data)
 
 
 def _behind_lens(fit: ChainFit, path: Path, data: DataSet) -> ChainFit:
@@ -224,7 +234,7 @@ def _behind_lens(fit: ChainFit, path: Path, data: DataSet) -> ChainFit:
         if not notable or not np.abs(lens).max() <= MOST_LENS:
             # Perhaps only now: what a fit behind it takes back was no error of the lens.
             return replace(fit, lens=lens, lens_covariance=behind.lens_covariance)
-        fitting = _Fitting(path, kind.without_lens(z, *lens), kind)
+        fitting = _Fitting(data, fit.chain.play_rad, lens)
         start = _Optimum(behind.chain.weighted(kind.weights), behind.time_offset_s, 0.0)
         behind = fitting.finish(start)
         lens = np.clip(lens + behind.lens, -MOST_LENS, MOST_LENS)
@@ -246,9 +256,13 @@ _cost = attrgetter("cost")
 class _Fitting:
     """One fit: the joints at any time, and the feature in k images, (k, m), with its weights."""
 
-    def __init__(self, path: Path, features: np.ndarray, kind: Kind) -> None:
-        self._path, self._kind, self._weights = path, kind, kind.weights
-        self._z = kind.weights * features
+    def __init__(self, data: DataSet, play_rad: np.ndarray, lens: np.ndarray | None = None) -> None:
+        self._kind, self._weights, self._play_rad = data.kind, data.kind.weights, play_rad
+        plays_rad = play_rad, play_rad + _LEAST_PLAY_RAD
+        self._paths = [Path(behind_play(data, play_rad)) for play_rad in plays_rad]
+        self._path = self._paths[0]
+        z = data.z[self._path.indices]
+        self._z = self._weights * (z if lens is None else self._kind.without_lens(z, *lens))
 
     def start(self) -> _Optimum:
         """The best of some random chains; an optimum that is found twice is taken for it."""
@@ -305,8 +319,15 @@ class _Fitting:
         inlier = inliers(residual, self._z)
         covariance, unfitted = self._moments(optimum, weights, inlier)
         change, wider, _ = self._beside(optimum, weights, inlier, self._lens_slopes(), _LENS_PRIOR)
+        joints, more = (path.joints_and_velocities(optimum.offset_s)[0] for path in self._paths)
+        slopes = optimum.chain.jacobian(joints) * ((more - joints) / _LEAST_PLAY_RAD)[:, None]
+        by_play = self._beside(optimum, weights, inlier, slopes, _PLAY_PRIOR_RAD)
+        n, deviation = len(self._play_rad), np.sqrt(np.diag(by_play[1]))
+        play_rad = np.clip(self._play_rad + by_play[0][-n:], 0.0, MOST_PLAY_RAD)
+        play_rad *= play_rad > np.maximum(_LENS_DEVIATIONS * deviation[-n:], _LEAST_PLAY_RAD)
+        chain = optimum.chain.weighted(1.0 / self._weights)
         return ChainFit(
-            chain=optimum.chain.weighted(1.0 / self._weights),
+            chain=replace(chain, play_rad=self._play_rad),
             weights=self._weights,
             time_offset_s=optimum.offset_s,
             time_offset_deviation_s=float(np.sqrt(covariance[OFFSET, OFFSET])),
@@ -318,6 +339,7 @@ class _Fitting:
             samples=len(residual),
             lens=change[-2:],
             lens_covariance=wider[-2:, -2:],
+            play_rad=play_rad,
             covariance=covariance,
             unfitted=unfitted,
         )

@@ -307,7 +307,8 @@ def load_model(
     with _content(path, "fvs_rbf_model", joint_names) as content:
         chain = None
         if any(name in content for name in _CHAIN):
-            content.setdefault("chain_lens", np.zeros(2))  # older files lack it
+            content.setdefault("chain_lens", np.zeros(2))  # older files lack these
+            content.setdefault("chain_play_rad", np.zeros(len(content.common["joint_names"])))
             numbers = {name: content[stored] for stored, name in _CHAIN.items()}
             on_arm = content.common["camera_mount"] == ON_ARM
             chain = SerialChain(**numbers, on_arm=on_arm)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from fvs_estimator_node.files import DataSet
+from fvs_ros.interface import Backlash
 
 #: Largest stamp offset in the search, late or early, s; the ends of each run are cut by it.
 MAX_OFFSET_S = 0.2
@@ -51,6 +53,15 @@ class Path:
             time_s = self.stamps_s[part] - offset_s
             joints[part], velocity[part] = spline(time_s), spline(time_s, 1)
         return joints, velocity
+
+
+def behind_play(data: DataSet, play_rad: np.ndarray) -> DataSet:
+    """The same with the joints of motors with play, rad, (n,); they stand still at no image."""
+    joints_rad = data.joints_rad.copy()
+    for run in () if data.still else data.runs():
+        backlash = Backlash()
+        joints_rad[run] = [backlash.joints(motors, play_rad) for motors in joints_rad[run]]
+    return replace(data, joints_rad=joints_rad)
 
 
 def _thinned(indices: np.ndarray) -> np.ndarray:

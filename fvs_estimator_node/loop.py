@@ -11,6 +11,7 @@ import numpy as np
 
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_ros.filter import Image
+from fvs_ros.interface import Backlash
 from fvs_ros.track import Track
 from fvs_ros.vectors import all_finite, largest
 
@@ -45,7 +46,7 @@ class EstimationLoop:
 
     def __init__(self, estimator: Estimator) -> None:
         self.estimator, self.kind = estimator, estimator.kind
-        self.track = Track(self.kind)
+        self.track, self._backlash = Track(self.kind), Backlash()
         self.learns = True
         self._forget()
 
@@ -65,6 +66,8 @@ class EstimationLoop:
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Take a joint state, s and rad, (n,)."""
+        chain = self.estimator.chain
+        joints_rad = self._backlash.joints(joints_rad, 0.0 if chain is None else chain.play_rad)
         self._learn(self.track.add_joints(stamp_s, joints_rad, self._jacobian))
 
     def lose_joints(self) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from fvs_estimator_node.chain_fit import ChainFit, fit_chain, inliers
 from fvs_estimator_node.files import DataSet, TrainedModel, range_of
-from fvs_estimator_node.joint_path import MAX_OFFSET_S, STILL_RAD
+from fvs_estimator_node.joint_path import MAX_OFFSET_S, STILL_RAD, behind_play
 from fvs_estimator_node.pairs import Pairs, Progress, TrainingError, ridge_weights
 from fvs_estimator_node.rbf import RbfModel, rbf_features
 from fvs_ros.chain import SerialChain
@@ -104,6 +104,8 @@ def train(
             "with the method poe"
         )
     fit, why = _fitted(data, say, needed=poe)
+    if fit is not None and fit.chain.play_rad.any():
+        data = behind_play(data, fit.chain.play_rad)
     model, trained_on, errors = _networks(data, fit, options, rng, progress, say)
     faults: list[str] = []
     if fit is not None:
@@ -117,6 +119,10 @@ def train(
             f"{lens_text(errors)}: calibrate the camera; with the method poe, targets in the frame "
             "of an object allow for it"
         )
+    if fit is not None and fit.chain.play_rad.any():
+        plays = zip(data.joint_names, np.degrees(fit.chain.play_rad), strict=True)
+        text = ", ".join(f"{name} {play:.1f}" for name, play in plays if play)
+        notes.append(f"play between motors and joints, allowed for by poe, degrees: {text}")
     came_from = {"method": options.method, "options": asdict(options), "no_chain": why}
     return TrainedModel(
         model,

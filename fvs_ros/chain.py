@@ -44,9 +44,10 @@ CHAIN_SHAPES: dict[str, tuple[int | str, ...]] = {
     "reference_rad": ("n",),
     "prismatic": ("n",),
     "lens": (2,),
+    "play_rad": ("n",),
 }
-#: Largest error of a lens that is believed, of either number.
-MOST_LENS = 0.5
+#: Largest error of a lens that is believed, of either number, and largest play, rad.
+MOST_LENS, MOST_PLAY_RAD = 0.5, 0.2
 
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
@@ -88,6 +89,8 @@ class SerialChain:
     lens : ndarray, shape (2,), optional
         Error of the lens through which all of this was measured: ``focal`` and ``radial`` of
         :meth:`~fvs_ros.kinds.Kind.through_lens`; 0 where it is as good as declared.
+    play_rad : ndarray, shape (n,), optional
+        Play between each motor, whose angle is reported, and its joint, rad, of prismatic ones m.
 
     Raises
     ------
@@ -102,6 +105,7 @@ class SerialChain:
     prismatic: np.ndarray = None  # type: ignore[assignment]
     lens: np.ndarray = None  # type: ignore[assignment]
     on_arm: bool = False
+    play_rad: np.ndarray = None  # type: ignore[assignment]
     #: The joint of each stage, from the camera on.
     order: np.ndarray = field(init=False, repr=False)
     #: Axes by which x moves: the other way round from a camera on the arm.
@@ -117,16 +121,18 @@ class SerialChain:
     _shifts: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.prismatic is None:
-            object.__setattr__(self, "prismatic", np.zeros(len(self.reference_rad)))
-        if self.lens is None:
-            object.__setattr__(self, "lens", np.zeros(2))
+        joints = len(self.reference_rad)
+        for name, size in (("prismatic", joints), ("lens", 2), ("play_rad", joints)):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.zeros(size))
         check_arrays(self, CHAIN_SHAPES, {})
         for name in CHAIN_SHAPES:
             if not plausible(getattr(self, name)):
                 raise ValueError(f"{name} of a chain holds a number above {LARGEST:g} m")
         if np.abs(self.lens).max() > MOST_LENS:
             raise ValueError(f"a chain's lens errs by {self.lens.tolist()}")
+        if (np.clip(self.play_rad, 0.0, MOST_PLAY_RAD) != self.play_rad).any():
+            raise ValueError(f"a chain's joints have a play of {self.play_rad.tolist()} rad")
         if self.feature_m.size == 0 or self.feature_m.size % 3:
             raise ValueError(f"a chain carries {self.feature_m.size} numbers, expected 3, 6, ...")
         lengths = np.linalg.norm(self.axes, axis=1, keepdims=True)
@@ -301,12 +307,5 @@ class SerialChain:
         """
         carried = self.feature_m.reshape(-1, 3) @ rotation.T
         carried[0] += translation_m
-        return SerialChain(
-            self.axes @ rotation.T,
-            self.points_m @ rotation.T + translation_m,
-            carried.ravel(),
-            self.reference_rad,
-            self.prismatic,
-            self.lens,
-            self.on_arm,
-        )
+        axes, points_m = self.axes @ rotation.T, self.points_m @ rotation.T + translation_m
+        return replace(self, axes=axes, points_m=points_m, feature_m=carried.ravel())

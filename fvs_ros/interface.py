@@ -40,12 +40,10 @@ class Backlash:
     def __init__(self) -> None:
         self._joints: np.ndarray | None = None
 
-    def joints(self, motors_rad: np.ndarray, backlash_rad: float) -> np.ndarray:
+    def joints(self, motors_rad: np.ndarray, play_rad: np.ndarray | float) -> np.ndarray:
         """Joint positions, (n,), from those of the motors now; at first, play is half used up."""
-        half = 0.5 * backlash_rad
-        if self._joints is None or not half:
-            self._joints = motors_rad
-        self._joints = np.clip(self._joints, motors_rad - half, motors_rad + half)
+        half, before = 0.5 * play_rad, motors_rad if self._joints is None else self._joints
+        self._joints = np.clip(before, motors_rad - half, motors_rad + half)
         return self._joints
 
 

@@ -171,10 +171,10 @@ JACOBIAN = Topic(
 KINEMATIC_CHAIN = Topic(
     "kinematic_chain",
     "std_msgs/msg/Float64MultiArray",
-    "The arm in the camera's frame, with `method` `poe`. A row of 8 for each joint: axis, a point "
-    "on it, m, reference position, rad (m), and 1 if prismatic. Last, at the reference positions, "
-    "a row of the ball, m, or four of a tag's origin and axes. The first continues with the lens' "
-    "errors of focal length and k1; the rest are zeros.",
+    "The arm in the camera's frame, with `method` `poe`. A row of 9 for each joint: axis, a point "
+    "on it, m, reference position, rad (m), 1 if prismatic, and its play, rad (m). Last, at the "
+    "reference positions, a row of the ball, m, or four of a tag's origin and axes. The first "
+    "continues with the lens' errors of focal length and k1; the rest are zeros.",
     (ESTIMATOR,),
     (CONTROLLER,),
 )

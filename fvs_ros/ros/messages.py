@@ -32,8 +32,8 @@ _LAST_ZEROS = 5
 _LAST_ZEROS_PERIOD_S = 0.01
 #: Longest wait until they have arrived, s.
 _LAST_ZEROS_ACK_S = 0.5
-#: Of a chain's message: axis, point and reference of a joint, and whether it is prismatic.
-_CHAIN_COLUMNS = 8
+#: Of a chain's message: axis, point and reference of a joint, whether it is prismatic, its play.
+_CHAIN_COLUMNS = 9
 _BALL = Ball()
 #: Longest text that is logged, published or taken for a frame, characters.
 MOST_TEXT = 1000
@@ -145,15 +145,15 @@ def from_jacobian(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -
 
 
 def to_chain(chain: SerialChain) -> Float64MultiArray:
-    """``Float64MultiArray`` of a chain of n joints, shape (n + m / 3, 8), row-major.
+    """``Float64MultiArray`` of a chain of n joints, shape (n + m / 3, 9), row-major.
 
     A row for each joint: the direction of its axis, a point on it, m, the joint's reference
-    position, rad (m), and 1 if it is prismatic. Then the rows of the feature, the first with the
-    two numbers of the lens, and 1 from a camera on the arm; and zeros.
+    position, rad (m), 1 if it is prismatic, and its play, rad (m). Then the rows of the feature,
+    the first with the two numbers of the lens, and 1 from a camera on the arm; and zeros.
     """
     joints, carried = len(chain.axes), chain.feature_m.reshape(-1, 3)
     rows = np.zeros((joints + len(carried), _CHAIN_COLUMNS))
-    joint = np.column_stack([chain.reference_rad, chain.prismatic])
+    joint = np.column_stack([chain.reference_rad, chain.prismatic, chain.play_rad])
     rows[:joints] = np.hstack([chain.axes, chain.points_m, joint])
     rows[joints:, :3], rows[joints, 3:5] = carried, chain.lens
     rows[joints, 5] = chain.on_arm
@@ -169,12 +169,12 @@ def from_chain(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> S
     matrix = _from_matrix(message, "kinematic_chain", rows, _CHAIN_COLUMNS)
     joint, carried = matrix[:joints], kind.nearest(matrix[joints:, :3].ravel())
     try:
-        reference_rad, prismatic = joint[:, 6:].T
+        reference_rad, prismatic, play_rad = joint[:, 6:].T
         lens, on_arm = matrix[joints, 3:5], bool(matrix[joints, 5])
         if on_arm != kind.on_arm:
             raise ValueError(f"camera_mount {MOUNTS[on_arm]}, expected {kind.camera_mount}")
         return SerialChain(
-            joint[:, :3], joint[:, 3:6], carried, reference_rad, prismatic, lens, on_arm
+            joint[:, :3], joint[:, 3:6], carried, reference_rad, prismatic, lens, on_arm, play_rad
         )
     except ValueError as error:
         raise MessageError(f"kinematic_chain cannot be used: {error}") from error

@@ -16,8 +16,9 @@ def random_chain(seed=0, joints=6, features=3, on_arm=False):
     rng = np.random.default_rng(seed)
     lengths = {"n": joints, "m": features}
     shapes = ([lengths.get(side, side) for side in sides] for sides in CHAIN_SHAPES.values())
-    *numbers, prismatic, lens = (rng.normal(size=shape) for shape in shapes)
-    return SerialChain(*numbers, prismatic > 0.5, 0.1 * lens, on_arm)
+    *numbers, prismatic, lens, play = (rng.normal(size=shape) for shape in shapes)
+    play_rad = np.clip(play, 0.0, 0.1)
+    return SerialChain(*numbers, prismatic > 0.5, 0.1 * lens, on_arm, play_rad)
 
 
 @each("on_arm", [False, True])

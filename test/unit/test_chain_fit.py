@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.joint_path import behind_play
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds.pose import Pose
 
@@ -52,6 +53,16 @@ def test_a_minute_of_motion_is_enough():
     assert 0.0008 < fit.ray_noise_m < 0.0012
     assert 0.0008 < fit.lateral_noise_m < 0.0012
     assert fit.outliers == pytest.approx(0.02 * fit.samples, rel=0.5)
+
+
+def test_play_between_motors_and_joints_is_found():
+    recording, plays_rad = Recording(late_s=0.0), np.array([0.0, 0.0175, 0.03, 0.0, 0.01, 0.0])
+    data, position = recording.data(), recording.chain().position
+    joints_rad = behind_play(data, plays_rad).joints_rad
+    fit = fit_chain(replace(data, z=data.z + position(joints_rad) - position(data.joints_rad)))
+    np.testing.assert_allclose(fit.chain.play_rad, plays_rad, atol=0.001)
+    assert error_of(fit, recording) < 0.01
+    assert fit.misfit < 1.2
 
 
 @each(
