@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import cv2
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.images import Rectifier, Region
@@ -62,6 +63,9 @@ class Detector:
     measured: tuple[str, ...] = ()
 
     def __init__(self, config: DetectorConfig) -> None:
+        # One small image at a time: threads wait for each other by spinning.
+        cv2.setNumThreads(1)
+        threadpool_limits(1, user_api="blas")
         self._config = config
         self._rectifier: Rectifier | None = None
         self.reset()

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -47,7 +46,6 @@ class DetectorNode(ros.FvsNode):
 
     def __init__(self) -> None:
         super().__init__("fvs_detector_node", PARAMETERS)
-        cv2.setNumThreads(1)  # threads have no benefit for one small image at a time
         self._config = DetectorConfig.from_values(self.values)
         self._kind = KINDS[self._config.feature](camera_mount=self._config.camera_mount)
         self._detector = make_detector(self._config)

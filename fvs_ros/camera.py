@@ -65,6 +65,12 @@ class Intrinsics:
         if self.fx <= 0.0 or self.fy <= 0.0:
             raise ValueError(f"focal lengths must be positive, got fx={self.fx} fy={self.fy}")
 
+    def coarser(self, step: int) -> Intrinsics:
+        """Of the same image in pixels that are so many times as large."""
+        size = -(-self.width // step), -(-self.height // step)
+        cx, cy = (self.cx + 0.5) / step - 0.5, (self.cy + 0.5) / step - 0.5
+        return Intrinsics(*size, self.fx / step, self.fy / step, cx, cy)
+
     @property
     def matrix(self) -> np.ndarray:
         """The camera matrix, (3, 3)."""

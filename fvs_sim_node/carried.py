@@ -6,6 +6,7 @@ A new kind of feature adds a class and a line.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 import cv2
 import numpy as np
@@ -25,8 +26,10 @@ class Print:
 
     #: Pixels of a cell in the texture.
     cell_px: int = 16
-    #: Samples of an image's pixel on each side.
+    #: Samples on each side of an image's pixel, at most, and of a whole print, at least: with more
+    #: the poses of near prints are no more exact.
     samples: int = 4
+    print_samples: int = 800
     #: Deviation of the lens's blur, px.
     blur_px: float = 0.6
     #: Brightness of the ink and of the paper, grey levels.
@@ -53,6 +56,8 @@ class Carried:
     tilt_rad: np.ndarray | None = None
     #: Distance of its rod behind it, m.
     rod_gap_m = 0.0
+    #: Most pixels that the renderer draws across its part of the image; the largest image has less.
+    drawn_px = 2000
 
     def __init__(self, config: SimConfig) -> None:
         self._config = config
@@ -108,6 +113,7 @@ class CarriedTag(Carried):
     """The tags of a layout on white paper: textures, by homographies, where it is in view."""
 
     tilt_rad = np.array([0.4, 0.4, 0.0])  # seen squarely it tells its pose less well
+    drawn_px = 200  # only what hides a print: that itself is painted pixel by pixel
 
     def __init__(self, config: SimConfig) -> None:
         super().__init__(config)
@@ -192,21 +198,21 @@ class CarriedTag(Carried):
             grey = self._drawn(self._textures[number], part_view, prints)
             part = rgb[region.part]
             shown = self._shown(depth_m[region.part], part_view, print_)
-            shade = part[shown].astype(float) / 255.0
+            shade = part[shown] / 255.0
             shade *= (PRINT.ink + (PRINT.paper - PRINT.ink) / 255.0 * grey[shown])[:, None]
             shade += rng.normal(0.0, PRINT.noise, len(shade))[:, None]
             part[shown] = np.clip(np.rint(shade), 0, 255).astype(np.uint8)
 
     def _drawn(self, texture: np.ndarray, view: Intrinsics, prints: list[RigidPose]) -> np.ndarray:
         """A tag's brightness, 0 to 255, (H, W)."""
-        fine, shift = PRINT.samples, 0.5 * (PRINT.samples - 1)
+        fine = min(PRINT.samples, ceil(PRINT.print_samples / view.width))
+        shift = 0.5 * (fine - 1)
         to_fine = np.array([[fine, 0.0, shift], [0.0, fine, shift], [0.0, 0.0, 1.0]])
         total = np.zeros((view.height, view.width))
         for pose in prints:
-            columns = np.column_stack([pose.rotation[:, :2], pose.position_m])
             picture = cv2.warpPerspective(
                 texture,
-                to_fine @ view.matrix @ columns @ self._to_tag,
+                to_fine @ _px_from_plane(pose, view) @ self._to_tag,
                 (fine * view.width, fine * view.height),
                 borderMode=cv2.BORDER_CONSTANT,
                 borderValue=255,
@@ -216,17 +222,23 @@ class CarriedTag(Carried):
 
     def _shown(self, depth_m: np.ndarray, view: Intrinsics, print_: RigidPose) -> np.ndarray:
         """Where the print is the nearest thing, bool (H, W): in its square, in its plane."""
-        v, u = np.mgrid[: view.height, : view.width]
-        rays, normal = view.rays(u, v), print_.rotation[:, 2]
-        with np.errstate(divide="ignore"):
-            plane_m = (normal @ print_.position_m) / (rays @ normal)
-        beside_m = (plane_m[..., None] * rays - print_.position_m) @ print_.rotation[:, :2]
-        inside = np.abs(beside_m).max(axis=-1) <= 0.5 * self._tag.pitch_m
-        return np.asarray(inside & (np.abs(depth_m - plane_m) < PRINT.near_m))
+        u, v = np.arange(view.width), np.arange(view.height)[:, None]
+        plane_from_px = np.linalg.inv(_px_from_plane(print_, view))
+        # Right, up, and 1, each over the depth of the plane.
+        x, y, inverse_1_m = (a * u + b * v + c for a, b, c in plane_from_px)
+        inside = np.maximum(np.abs(x), np.abs(y)) <= 0.5 * self._tag.pitch_m * inverse_1_m
+        return np.asarray(
+            inside & (np.abs(depth_m * inverse_1_m - 1.0) < PRINT.near_m * inverse_1_m)
+        )
 
 
 #: By the value of the parameter ``feature``.
 CARRIED: dict[str, type[Carried]] = {"ball": CarriedBall, "pose": CarriedTag}
+
+
+def _px_from_plane(pose: RigidPose, view: Intrinsics) -> np.ndarray:
+    """From a print's plane, (right, up, 1), m, to the depth times (u, v, 1), (3, 3)."""
+    return view.matrix @ np.column_stack([pose.rotation[:, :2], pose.position_m])
 
 
 def _in_view(points_px: np.ndarray, camera: Intrinsics) -> Region | None:

@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
-import cv2
 import numpy as np
 
 from fvs_detector_node.config import DetectorConfig
@@ -78,7 +77,6 @@ class Simulation:
     """
 
     def __init__(self, config: SimConfig | None = None) -> None:
-        cv2.setNumThreads(1)  # one small image at a time: threads only cost
         config = config or SimConfig()
         self.kind = KINDS[config.feature](camera_mount=config.camera_mount)
         self.intrinsics = config.intrinsics
@@ -323,7 +321,7 @@ class Simulation:
             z, fraction = self.as_seen(self.kind.of_body(true.position_m, true.rotation)), 1.0
         else:
             # As from a camera that sends only the region around the body: drawing takes long.
-            region = part.grown(part.width // 8 + 8, camera)
+            region = part.grown(min(part.width // 8 + 8, 24), camera)
             view = CameraModel(region.view(self.reported_intrinsics))
             images = self._photograph(rng, region)
             detection = detector.detect(self.time_s, *images, view).detection

@@ -9,6 +9,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from math import ceil
 from tempfile import NamedTemporaryFile
 from typing import Any
 
@@ -77,13 +78,6 @@ class World:
             self.camera_link = link if self._on_arm else root_link
             self._find_joints(joints, link)
             self._prepare_links()
-            for item in config.objects:
-                self._body(
-                    sphere(self.client, item.size_m[0], item.rgba)
-                    if len(item.size_m) == 1
-                    else box(self.client, 0.5 * np.array(item.size_m), item.rgba),
-                    item.position_m,
-                )
             self.body = CARRIED[config.feature](config)
             self._offset_m += self.body.depth_m
             self.object: Carried | None = self.body if self._on_arm else None
@@ -99,6 +93,14 @@ class World:
                     self._mount = self._facing(config) @ cv2.Rodrigues(self.body.tilt_rad)[0]
             if self.object is not None:
                 self._object_body = self._body(self.object.shape(self.client))
+            # Last: the renderer shades what is hidden as well, if it comes first.
+            for item in config.objects:
+                self._body(
+                    sphere(self.client, item.size_m[0], item.rgba)
+                    if len(item.size_m) == 1
+                    else box(self.client, 0.5 * np.array(item.size_m), item.rgba),
+                    item.position_m,
+                )
             self.object_pose = self.placed_object(config)
             self.place_bodies()
         except BaseException:
@@ -248,7 +250,8 @@ class World:
         if config.camera_covered:
             shape = view.height, view.width
             return np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
-        rgb, depth_m = self.renderer.render(camera, region)
+        step = ceil(max(view.width, view.height) / self.body.drawn_px) if region else 1
+        rgb, depth_m = self.renderer.render(camera, region, step)
         jacobians = self._jacobians(self.joint_states()[0])
         arm_m_s, arm_rad_s = (jacobian @ velocities_rad_s for jacobian in jacobians)
         if not self._on_arm:
@@ -267,6 +270,8 @@ class World:
             linear, angular = linear @ camera.rotation, angular @ camera.rotation
             poses = exposed(pose, linear, angular, config.exposure_s)
             self.object.paint(rgb, depth_m, view, poses, rng)
+        if step > 1:  # for a detector that takes no depths
+            return rgb, depth_m
         depth_m = add_depth_noise(depth_m, intrinsics.fx, rng, config.depth_noise)
         return rgb, depth_m * np.float32(1.0 + config.depth_error)
 
@@ -408,23 +413,30 @@ class Renderer:
         self._wall = opaque.view(np.uint32)
 
     def render(
-        self, pose: RigidPose, region: Region | None = None
+        self, pose: RigidPose, region: Region | None = None, step: int = 1
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw the image, or a part of it.
+        """Draw the image, or a part of it, in squares of ``step`` pixels.
 
         Colours, uint8, (H, W, 3), and depth along the optical axis, float32, (H, W), m; 0 where
         there is none.
         """
         part = region or Region.whole(self.intrinsics)
-        colours, raw = self._draw(pose, part.view(self.intrinsics))
+        view = part.view(self.intrinsics)
+        colours, raw = self._draw(pose, view.coarser(step))
         nothing = raw >= 0.999999
         scale = np.float32(1.0 / self._near_m - 1.0 / _FAR_M)
         depth = np.float32(1.0) / (np.float32(1.0 / self._near_m) - scale * raw)
         depth[nothing] = 0.0
         # Filling four bytes at once takes a tenth of the time of filling colour by colour.
-        wall = self._wall[part.part[0]]
+        wall = self._wall[part.part[0]][::step]
         np.copyto(colours.view(np.uint32)[..., 0], wall, where=nothing)
-        return cv2.cvtColor(colours, cv2.COLOR_RGBA2RGB), depth
+        rgb, depth = (
+            cv2.resize(image, None, None, step, step, cv2.INTER_NEAREST)[
+                : view.height, : view.width
+            ]
+            for image in (cv2.cvtColor(colours, cv2.COLOR_RGBA2RGB), depth)
+        )
+        return rgb, depth
 
     def _draw(self, pose: RigidPose, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
         """Colours (H, W, 4) and the depth buffer (H, W), 1 for the background."""

@@ -18,7 +18,7 @@ MIDDLE_M = (5.0, 0.0, 1.0)
 
 def test_projection_agrees_to_a_tenth_of_a_pixel():
     camera, rng = Intrinsics(320, 240, 300.0, 310.0, 150.25, 128.0), np.random.default_rng(1)
-    window, offsets, areas, depths = Region(16, 8, 288, 224), [], [], []
+    window, offsets, areas, depths, shifts = Region(16, 8, 287, 223), [], [], [], []
     with closing(World(SimConfig(objects=(SceneObject(MIDDLE_M, (RADIUS_M,)),)))) as world:
         renderer = Renderer(world.client, camera)
         for _ in range(30):
@@ -32,9 +32,13 @@ def test_projection_agrees_to_a_tenth_of_a_pixel():
             rgb, depth = renderer.render(pose, window)
             ideal, drawn = red(ideal_rgb), red(rgb) & (depth > 0.0)
             offsets.append(np.mean(np.nonzero(drawn), axis=1) - np.mean(np.nonzero(ideal), axis=1))
+            coarse_rgb, coarse_m = renderer.render(pose, window, step=3)
+            coarse = red(coarse_rgb) & (coarse_m > 0.0)
+            shifts.append(np.mean(np.nonzero(coarse), axis=1) - np.mean(np.nonzero(drawn), axis=1))
             areas.append(np.count_nonzero(drawn) / np.count_nonzero(ideal))
             depths.append(np.median((depth - ideal_m)[drawn & ideal]))
     assert np.abs(np.mean(offsets, axis=0)).max() < 0.02
     assert np.abs(offsets).max() < 0.1
+    assert np.abs(np.mean(shifts, axis=0)).max() < 0.1
     assert np.mean(areas) == pytest.approx(1.0, abs=0.005)
     assert np.abs(depths).max() < 1e-4
