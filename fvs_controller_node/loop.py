@@ -408,7 +408,7 @@ class ServoLoop:
             output = checked(self._propose(present, last, dt_s), len(last), self.kind.size)
         except Exception as error:  # whatever a law does wrong
             finding = Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}")
-        if output is not None and self.track.filter.in_doubt:  # no joint speeds up or turns back
+        if output is not None and self.track.filter.outliers:  # no joint speeds up or turns back
             wanted = np.clip(output.velocity_rad_s, np.minimum(last, 0.0), np.maximum(last, 0.0))
             output = output._replace(velocity_rad_s=wanted)
         if output is not None and self._new_image:

@@ -34,8 +34,6 @@ _WINDOW, _STILL_M, _STILL_RAD = 60, 0.004, 0.01
 #: bracket or object, and of the object's velocity, rad/s. Those of shifts are the same at an arm's
 #: length of this, m.
 _DEVIATION_RAD, _ELSEWHERE_RAD, _MOVING_RAD_S, _ARM_M = 0.005, 0.3, 1.0, 0.3
-#: Of D, of z0, and of the velocity of z0, among the unknowns.
-_BRACKET, _OBJECT, _VELOCITY = slice(6), slice(6, 12), slice(12, 18)
 
 
 class _Seen(NamedTuple):
@@ -68,7 +66,8 @@ class _Cause:
     state : _State
         What was known before.
     deviation : ndarray, shape (18,)
-        Prior deviations; 0 where nothing changes.
+        Prior deviations of the twists by which D and z0 have changed, and of the velocity's change;
+        0 where nothing changes.
     """
 
     def __init__(self, weights: np.ndarray, state: _State, deviation: np.ndarray) -> None:
@@ -106,11 +105,12 @@ class _Cause:
         precision = slopes.T @ slopes + np.diag(deviation**-2)
         covariance, step, change = np.linalg.inv(precision), np.zeros(18), self._change
         step[free] = covariance @ (slopes.T @ residual / noise_m - change / deviation**2)
-        bracket, carried = bracket @ _motions(step[_BRACKET]), carried @ _motions(step[_OBJECT])
-        self.state = _State(bracket, carried, velocity + step[_VELOCITY], newest_s)
+        of_bracket, of_object, of_velocity = np.split(step, 3)
+        bracket, carried = bracket @ _motions(of_bracket), carried @ _motions(of_object)
+        self.state = _State(bracket, carried, velocity + of_velocity, newest_s)
         self._change, self.covariance[np.ix_(free, free)] = change + step[free], covariance
         after = self._cost(self.residuals(images)[0], noise_m)
-        if not after <= cost:  # the wrong cause may lead elsewhere
+        if not after <= cost:  # the wrong cause may lead anywhere
             after, self.state, self._change = cost, before, change
         # Twice the negative logarithm of the evidence.
         self.cost = after + float(np.linalg.slogdet(precision * np.outer(deviation, deviation))[1])
@@ -175,25 +175,24 @@ class OnArmPoeEstimator(Estimator):
     def _begin(self, seen: _Seen, before: _Cause | None) -> None:
         """Forget the images, and look for causes of what is seen now."""
         self._bumps, self._images = self.bumps, deque(maxlen=_WINDOW)
-        unit, known = np.repeat([1.0, _ARM_M], 3), np.zeros(18)
+        unit = np.repeat([1.0, _ARM_M], 3)
         free = unit if self.kind.numbers > 3 else np.repeat([0.0, _ARM_M], 3)  # no point turns
-        bracket, velocity = np.eye(4), np.zeros(6)
+        bracket, velocity, known = np.eye(4), np.zeros(6), np.zeros((3, 6))
         if before is not None:
-            known = np.sqrt(np.diag(before.covariance))
+            known = np.sqrt(np.diag(before.covariance)).reshape(3, 6)
             bracket, velocity = before.state.bracket, before.state.velocity
         rows = np.insert(seen.z.reshape(-1, 3), 3, 0.0, axis=1)
         rows[0, 3] = 1.0
         carried = np.linalg.solve((seen.motion @ bracket).T, rows.T).T
         state = _State(bracket, carried, velocity, float(seen.stamp_s))
-        as_before = known[_VELOCITY]
         elsewhere, bumped = _ELSEWHERE_RAD * free, _ELSEWHERE_RAD * unit
         causes = [
-            (state, _DEVIATION_RAD * unit, elsewhere, as_before),
+            (state, _DEVIATION_RAD * unit, elsewhere, known[2]),
             (state, 0.0 * unit, elsewhere, _MOVING_RAD_S * free),
         ]
         if before is not None:
-            causes.append((before.state, bumped, known[_OBJECT], as_before))
-            causes.append((state, bumped, elsewhere, as_before))
+            causes.append((before.state, bumped, known[1], known[2]))
+            causes.append((state, bumped, elsewhere, known[2]))
         self._causes = [
             _Cause(self.kind.weights, start, np.concatenate(deviations))
             for start, *deviations in causes

@@ -141,6 +141,8 @@ class PathFilter:
         What the joints had moved by then, m.
     jumps : int
         How often the path began anew, after a jump that no joint motion explains.
+    outliers : list
+        The newest images with their innovations, m, (d,), that are off, and not yet confirmed.
     """
 
     def __init__(self) -> None:
@@ -155,7 +157,7 @@ class PathFilter:
         self._P = 0.0
         self._c = np.zeros(0)
         self._mean = np.zeros(0)  # of the last innovations
-        self._outliers: list[tuple[Image, np.ndarray]] = []  # and their innovations
+        self.outliers: list[tuple[Image, np.ndarray]] = []
         self.noise.restart()
 
     @property
@@ -167,11 +169,6 @@ class PathFilter:
     def deviation_m(self) -> float:
         """Standard deviation of a coordinate of the estimate, m."""
         return float(self._predicted_m2() ** 0.5)
-
-    @property
-    def in_doubt(self) -> bool:
-        """Whether the newest image is an outlier: it is wrong, or something else has moved."""
-        return bool(self._outliers)
 
     def _predicted_m2(self) -> float:
         return self._P + _MODEL_ERROR**2 * float(self._c.dot(self._c))
@@ -200,16 +197,16 @@ class PathFilter:
             self._P = (1.0 - K) ** 2 * self._P + K**2 * R
             self._c = (1.0 - K) * self._c
             self.x = self.x + K * innovation
-            self._outliers.clear()
+            self.outliers.clear()
             self.noise.add(image.stamp_s, image.seen_m - image.moved_m)
             self._inflate_on_bias(innovation, S)
             return [image]
-        before = self._outliers[-1] if self._outliers else None
-        self._outliers.append((image, innovation))
+        before = self.outliers[-1] if self.outliers else None
+        self.outliers.append((image, innovation))
         agreed = [image]
         if before is not None and self._agree(before[1], innovation, motion):
             agreed = [before[0], image]
-        elif len(self._outliers) < _REPEATS:
+        elif len(self.outliers) < _REPEATS:
             return []
         self.jumps += 1
         return self._begin(*agreed)
@@ -224,7 +221,7 @@ class PathFilter:
         return apart_m <= OUTLIER * 2.0**0.5 * self.noise_m + 2.0 * length(motion_m)
 
     def _begin(self, *images: Image) -> list[Image]:
-        image, self._outliers = images[-1], []
+        image, self.outliers = images[-1], []
         self.x, self.moved_m = image.seen_m.copy(), image.moved_m
         for accepted in images:
             self.noise.add(accepted.stamp_s, accepted.seen_m - accepted.moved_m)

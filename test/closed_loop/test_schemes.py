@@ -177,7 +177,7 @@ def test_no_joint_speeds_up_while_the_newest_image_is_in_doubt():
         if tick == 10:
             simulation.camera = simulation.camera.moved(np.array([0.0, 0.05, 0.0]))
         velocity = loop.tick().velocity_rad_s
-        if loop.loop.track.filter.in_doubt:
+        if loop.loop.track.filter.outliers:
             doubtful += 1
             assert np.all(np.abs(velocity) <= np.abs(before))
             assert np.all(velocity * before >= 0.0)

@@ -110,7 +110,7 @@ def test_a_bumped_bracket_is_found_and_a_moved_object_is_none(kind):
 
 
 @each("kind", KINDS)
-def test_a_bracket_is_bumped_before_an_object_on_a_belt(kind):
+def test_an_object_on_a_belt_is_not_taken_for_a_bumped_bracket(kind):
     rng, chain, joints = np.random.default_rng(4), room(kind), wander(5, 210)
     estimator, belt_m_s = made(kind, chain), np.array([0.05, -0.05, 0.02])
     z = watch(estimator, chain, joints[:150], rng, velocity_m_s=belt_m_s)
