@@ -18,6 +18,7 @@ from fvs_lab import figures as draw
 from fvs_lab.floor import Limits, least_time_s
 from fvs_lab.results import Results, median
 from fvs_lab.trials import Case, Trial, apart, crossed, drive, photo, relative_errors
+from fvs_ros.interface import POSITION, PositionPath
 from fvs_ros.limits import JointLimits, with_urdf_limits
 from fvs_ros.params import Parameters
 from fvs_sim_node.config import SimConfig
@@ -52,14 +53,17 @@ def collect(simulation: Simulation, config: CollectorConfig, late_s: float = 0.0
     """
     simulation.reset(None, config.seed)
     run = CollectionRun(config)
-    period_s = 1.0 / simulation.config.joint_state_rate_hz
+    period_s, path = 1.0 / simulation.config.joint_state_rate_hz, PositionPath()
     while not run.ended:
         out = simulation.advance()
         for image in out.observations:
             if image.z is not None:
                 run.image(out.time_s, image.stamp_s + late_s, image.z)
         run.joint_states(out.time_s, out.time_s, out.joints_rad)
-        simulation.command(run.tick(out.time_s, period_s))
+        command = run.tick(out.time_s, period_s)
+        if simulation.config.command_interface == POSITION:
+            command = path.advance(command, out.joints_rad, period_s, config)
+        simulation.command(command)
     names = simulation.world.joint_names
     seen = {"feature": config.feature, "camera_mount": config.camera_mount}
     return data_set_of(run.samples, joint_names=names, **seen)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -143,10 +143,11 @@ class Arm:
         ).changed(controller=NEAR)
 
 
-def learn(task: tuple[str, str, float]) -> Arm:
-    """Move an arm as the collector does, for a time, s, before the first object."""
+def learn(task: tuple[str, str, float], servos: Mapping[str, Any] | None = None) -> Arm:
+    """Move an arm as the collector does, for a time, s, before the first object; with servos."""
     name, feature, duration_s = task
     simulation = _simulation(name, feature)
+    simulation.configure(replace(simulation.config, **(servos or {})))
     names, where = simulation.world.joint_names, ROOM.camera_mount
     asked = CollectorConfig(joint_names=names, duration_s=duration_s, seed=1, feature=feature)
     asked = replace(asked, camera_mount=where, joint_range_rad=(RANGE_RAD,))

@@ -23,6 +23,7 @@ EXPERIMENTS = {
     "pose": "The pose of a tag: every scheme, images, and a calibrated camera.",
     "relative": "Teach and repeat relative to an object, beside calibrated cameras.",
     "hand": "The camera on the arm: learned before one tag, servoed to others.",
+    "hobby": "A hobby arm: play is learned, and the arm rests without hunting.",
     "everyday": "500 everyday worlds: noise, latency, lost images, a camera moved before.",
     "tags": "The same for the pose of a tag.",
     "robustness": "500 harsh worlds: more of everything, and a camera bumped in motion.",
