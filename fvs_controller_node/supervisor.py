@@ -268,17 +268,12 @@ class Supervisor:
 
     def _view(self) -> Barrier | None:
         """What keeps the object in the view of a camera on the arm."""
-        config, present, target = self.config, self._present, self.goal.target
-        if not config.kind.on_arm or present.z is None or target is None:
+        present, kind = self._present, self.config.kind
+        if not kind.on_arm or present.z is None:
             return None
         assert present.jacobian is not None
-        return config.barrier(
-            config.kind,
-            present.z,
-            target,
-            present.jacobian,
-            present.pending_rad,
-            present.drift_m_s,
+        return self.config.barrier(
+            kind, present.z, present.jacobian, present.pending_rad, present.drift_m_s
         )
 
     @property

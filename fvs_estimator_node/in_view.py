@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fvs_ros.bounded import nearest
 from fvs_ros.kinds import Kind
 
 #: Largest directions from the camera to the object, inside the picture of any usual camera, and
@@ -18,9 +19,8 @@ _DIRECTION_RAD, _TILT_RAD, _DISTANCE = 0.15, 0.8, 0.3
 _NARROWER = 0.7
 #: A limit is approached at most at the rate that reaches it in this time, s.
 _APPROACH_S = 0.5
-#: Squared ratios of the polynomials' errors to their coefficients, and of what need not be kept in
-#: view exactly to what a joint moves in it: they hold what is not determined.
-_RIDGE, _DAMPING = 1e-4, 1e-3
+#: Squared ratio of the polynomials' errors to their coefficients: holds what is not determined.
+_RIDGE = 1e-4
 
 
 class InView:
@@ -68,19 +68,8 @@ class InView:
         low, high = (self._box - joints) / _APPROACH_S
         low = np.append((-self._limits - view) / _APPROACH_S, np.minimum(low, velocity))
         high = np.append((self._limits - view) / _APPROACH_S, np.maximum(high, velocity))
-        wanted = rows @ velocity
-        limited, allowed, kept = velocity, wanted.copy(), np.zeros(len(rows), dtype=bool)
-        for _ in rows:
-            rates = rows @ limited
-            broken = ((rates < low) | (rates > high)) & ~kept
-            if not broken.any():
-                break
-            allowed[broken] = np.clip(rates, low, high)[broken]
-            kept |= broken
-            of_kept = rows[kept]
-            square = of_kept @ of_kept.T + _DAMPING * np.eye(len(of_kept))
-            limited = velocity + of_kept.T @ np.linalg.solve(square, (allowed - wanted)[kept])
-        return self._unit * limited
+        velocity, _ = nearest(velocity, np.vstack([rows, -rows]), np.append(low, -high))
+        return self._unit * velocity
 
     def _terms(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Terms of the polynomials, (k,), and their derivatives by the joints, (k, n)."""

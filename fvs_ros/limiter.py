@@ -77,8 +77,6 @@ class CommandLimiter:
         """
         limits, active = self.limits, list[str]()
         fastest_rad_s = min(fastest_rad_s, limits.max_joint_velocity_rad_s)
-        if barrier is not None:
-            fastest_rad_s *= barrier.share
         velocity = limit_speed(wanted_rad_s, fastest_rad_s, limits.share)
         if velocity is not wanted_rad_s:
             active.append("velocity")

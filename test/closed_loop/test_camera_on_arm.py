@@ -161,7 +161,7 @@ def test_an_object_on_a_belt_is_followed_if_it_may_move(feature):
 @each("feature", ["ball", "pose"])
 def test_an_image_that_stands_is_no_object_that_is_followed(feature):
     loop = loop_on_arm(feature, object_moves=True)
-    loop.set_target(view_from(loop, 2))
+    loop.set_target(view_from(loop, 3))
     loop.run(0.15)
     simulation, rng, kind = loop.simulation, np.random.default_rng(0), loop.kind
     stands, advance = loop.true_feature, simulation.advance
@@ -173,7 +173,7 @@ def test_an_image_that_stands_is_no_object_that_is_followed(feature):
         return replace(out, observations=[replace(image, z=z) for image, z in images])
 
     simulation.advance = frozen
-    for _ in range(round(2.0 / loop.period_s)):
+    for _ in range(round(3.0 / loop.period_s)):
         loop.tick()
     last = loop.loop.supervisor.last
     assert last.reason in (Reason.STALLED, Reason.OSCILLATING)
