@@ -30,6 +30,8 @@ from fvs_ros.vectors import largest
 
 #: The goal is searched again, with all steps, if it misses the target by more than this, m.
 _JUMP_M = 0.02
+#: Stages of a way that is too long for the steps, of at most 12 degrees.
+_STAGES = 16
 
 
 @dataclass(frozen=True)
@@ -87,19 +89,32 @@ class MinimumTimeLaw(ControlLaw):
                 state.jacobian, -state.error_m, joints, state.home_rad
             )
         wanted = state.kind.retract(chain.position(joints), -state.error_m)
-        new = self._goal is None or state.change is Change.TARGET
+        first = self._goal is None or state.change is Change.TARGET
         goal = joints if self._goal is None else self._goal
-        missing, jacobian = _missing(state, goal, wanted)
-        new = new or largest(missing) > _JUMP_M
+        new = first or largest(_missing(state, goal, wanted)[0]) > _JUMP_M
         # After a new target the steps draw the goal toward the start posture. After each further
         # image one step stays near the last goal: repeated linear programmes would alternate
         # between two corners.
-        for step in range(4 if new else 1):
-            if step > 0:
-                missing, jacobian = _missing(state, goal, wanted)
+        goal = self._goal_from(goal, state, [wanted] * (4 if new else 1), new)
+        if first and largest(_missing(state, goal, wanted)[0]) > _JUMP_M:
+            # Large rotations lead elsewhere at once, but not in stages.
+            stages = [
+                state.kind.retract(chain.position(joints), -share * state.error_m)
+                for share in np.linspace(0.0, 1.0, _STAGES)
+            ]
+            goal = self._goal_from(joints, state, [*stages, wanted, wanted], new)
+        return goal
+
+    def _goal_from(
+        self, goal: np.ndarray, state: ControlInput, path: list[np.ndarray], homing: bool
+    ) -> np.ndarray:
+        """Joints at the end of a path of features, (m,), a step to each from the goal before."""
+        joints = state.joints_rad
+        for wanted in path:
+            missing, jacobian = _missing(state, goal, wanted)
             travel = goal - joints
             missing = missing + jacobian @ travel
-            if new and state.home_rad is not None:
+            if homing and state.home_rad is not None:
                 velocity = self.inverse.joint_velocity(jacobian, missing, joints, state.home_rad)
             else:
                 velocity = self.inverse.joint_velocity(jacobian, missing, joints, near=travel)
