@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fvs_controller_node.config import SupervisorConfig
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.collecting import CollectorConfig
@@ -62,12 +63,18 @@ RUN_S, BELT_M_S = 3.0, 0.1
 #: The view of the simulated camera, and of what it sees; and its least distance, m.
 VIEW = ViewConfig(view_half_angles_deg=(27.0, 21.0), view_radius_m=0.045)
 NEAR = {"workspace_min_m": (-1.0, -1.0, 0.1), **vars(VIEW)}
+#: The arm is held below this share of the smallest singular value at home; a UR5 by default is.
+HELD_BELOW = 0.25
 #: A view without ends: the object is not kept in it.
 FREE = "best, view not kept"
 OPEN = {"view_half_angles_deg": (89.0, 89.0), "view_distance_m": (0.0, 9.0), "view_radius_m": 0.0}
 #: Distance from camera to object, m, their middle as published; the largest angles of the camera
 #: off the object's normal, and of its further roll and tilts, degrees.
 CNS_M, CNS_OFF_DEG, CNS_ROLL_DEG, CNS_TILT_DEG = 0.275 / 0.7 * np.array([0.5, 0.9]), 20.0, 15.0, 5.0
+#: Where it lies on a table, world frame, m: no such view of it is near a singularity of the UR5.
+TABLE_M = np.array([0.45, 0.1, 0.0])
+#: Of a tag that faces a camera.
+FACING = np.diag([1.0, -1.0, -1.0])
 BUMPED, BELT, CNS = "bracket bumped", "belt", "starts of CNS"
 
 
@@ -100,7 +107,7 @@ def _put(simulation: Simulation, pose: RigidPose, velocity_m_s: Vector = (0.0, 0
 
 def _ahead(simulation: Simulation, away_m: float, aslant_rad: np.ndarray) -> RigidPose:
     """A tag in the middle of the picture, world frame, rotated from facing the camera."""
-    rotation = np.diag([1.0, -1.0, -1.0]) @ rotation_from_vector(aslant_rad)
+    rotation = FACING @ rotation_from_vector(aslant_rad)
     return simulation.camera.pose_from_own(RigidPose(np.array([0.0, 0.0, away_m]), rotation))
 
 
@@ -130,9 +137,12 @@ class Arm:
     box_rad: np.ndarray
     #: Median relative error of the camera's twist there; a radian counts as 0.3 m.
     error: float
+    #: Smallest singular value of the Jacobian at home, m/rad.
+    smallest_m_rad: float
 
     def trial(self, case: Case, **labels: Any) -> Trial:
         """The scheme best with this chain, in a case."""
+        hold_m_rad = min(SupervisorConfig.singular_hold_m_rad, HELD_BELOW * self.smallest_m_rad)
         return Trial(
             scheme("best"),
             labels={"part": "ur5", "scheme": OURS, "case": case.name, **labels},
@@ -140,7 +150,7 @@ class Arm:
             duration_s=RUN_S,
             record=True,
             estimator_of=lambda simulation, _: OnArmPoeEstimator(self.chain, None, simulation.kind),
-        ).changed(controller=NEAR)
+        ).changed(controller={**NEAR, "singular_hold_m_rad": hold_m_rad})
 
 
 def learn(task: tuple[str, str, float], servos: Mapping[str, Any] | None = None) -> Arm:
@@ -157,7 +167,10 @@ def learn(task: tuple[str, str, float], servos: Mapping[str, Any] | None = None)
     joints_rad = np.random.default_rng(2).uniform(box_rad[0], box_rad[1], (500, len(box_rad.T)))
     scale = np.repeat([KIND.lever_arm_m, 1.0], 3)[:, None]
     ours, true = (scale * learned(each, joints_rad) for each in (chain, simulation.true_chain()))
-    return Arm(name, feature, chain, box_rad, float(np.median(relative_errors(ours, true))))
+    error = float(np.median(relative_errors(ours, true)))
+    home = simulation.true_jacobian(simulation.world.start_rad(ROOM))
+    smallest_m_rad = float(np.linalg.svd(home, compute_uv=False)[-1])
+    return Arm(name, feature, chain, box_rad, error, smallest_m_rad)
 
 
 def second_object(arm: Arm, number: int, bump: Bump | None = None) -> tuple[Simulation, Case]:
@@ -270,34 +283,31 @@ def view(rng: np.random.Generator) -> np.ndarray:
 
 
 def cns(task: tuple[Arm, int]) -> list[dict[str, Any]]:
-    """Servo between two such views, kept in view or not: a row each."""
+    """Servo between two such views of a tag on a table, kept in view or not: a row each."""
     arm, number = task
     simulation = _simulation(arm.name, arm.feature)
     rng, home = np.random.default_rng([435, number]), simulation.world.start_rad(ROOM)
+    _put(simulation, RigidPose(TABLE_M, np.eye(3)))
     simulation.reset(home)
-    _put(simulation, _ahead(simulation, CNS_M.mean(), np.zeros(3)))
-    simulation.reset(home)
-    chain, ends = simulation.true_chain(), list[Joints]()
-    low, high = simulation.world.lower_rad, simulation.world.upper_rad
-    while len(ends) < 2:
-        z, others = view(rng), home[:-1]
-        rolls_rad = home[-1] + np.linspace(-np.pi, np.pi, 9)  # the last joint rolls the camera
-        tried = [joints_at(chain, z, np.append(others, roll_rad)) for roll_rad in rolls_rad]
-        inside = [
-            each for each in tried if each is not None and ((each > low) & (each < high)).all()
-        ]
-        if not inside:
-            continue
-        joints = min(inside, key=lambda each: np.abs(each[:-1] - others).max())
-        jacobian, end = simulation.true_jacobian(joints), tuple(joints.tolist())
-        regular = np.linalg.svd(jacobian, compute_uv=False)[-1] > 0.08
-        if regular and _view(simulation, end, None) is not None:
-            ends.append(end)
-    start, goal = ends
+    chain, middle = simulation.true_chain(), KIND.of_body(CNS_M.mean() * np.eye(3)[2], FACING)
+    ends = [_joints(chain, middle, home)]
+    for z in (view(rng), view(rng)):
+        ends.append(_joints(chain, z, ends[-1]))
+    _, start, goal = (tuple(joints.tolist()) for joints in ends)
     trial = arm.trial(Case(f"view {number}", start, goal, number), setting=CNS)
     trial = replace(trial, duration_s=8.0, stop_after_s=1.5)
     free = trial.changed({"scheme": FREE}, controller=OPEN)
     return [run(each, simulation) for each in (trial, free)]
+
+
+def _joints(chain: SerialChain, z: np.ndarray, near_rad: np.ndarray) -> np.ndarray:
+    """The joints, rad, (n,), that see an object at z with the least motion from others."""
+    rolls_rad = np.outer(np.linspace(-np.pi, np.pi, 9), np.eye(near_rad.size)[-1])
+    tried = [joints_at(chain, z, near_rad + roll_rad) for roll_rad in rolls_rad]
+    return min(
+        (joints for joints in tried if joints is not None),
+        key=lambda joints: np.abs(joints - near_rad).max(),
+    )
 
 
 # ---- the experiment -------------------------------------------------------------------------
