@@ -56,11 +56,10 @@ class Path:
 
 
 def behind_play(data: DataSet, play_rad: np.ndarray) -> DataSet:
-    """The same with the joints of motors with play, rad, (n,); they stand still at no image."""
-    joints_rad = data.joints_rad.copy()
-    for run in () if data.still else data.runs():
-        backlash = Backlash()
-        joints_rad[run] = [backlash.joints(motors, play_rad) for motors in joints_rad[run]]
+    """The same with the joints of motors with play, rad, (n,); of still poses it is not known."""
+    backlash, joints_rad = Backlash(), data.joints_rad
+    if not data.still:
+        joints_rad = np.array([backlash.joints(motors, play_rad) for motors in joints_rad])
     return replace(data, joints_rad=joints_rad)
 
 
