@@ -147,7 +147,7 @@ def test_whoever_comes_late_hears_of_the_chain_and_a_doubtful_model_says_so(ros_
     late = ros_test.collect(Float64MultiArray, topics.KINEMATIC_CHAIN.name)
     estimator.wait(lambda: bool(late), what="the chain of an arm at rest")
     shape = [(dim.label, dim.size) for dim in late[-1].layout.dim]
-    assert shape == [("joint", 7), ("axis_point_reference", 8)]
+    assert shape == [("joint", 7), ("axis_point_reference", 9)]
     chain = ros.from_chain(late[-1], 6)
     np.testing.assert_allclose(chain.jacobian(robot.joints), jacobian, atol=0.01)
     for words in notes:
