@@ -133,8 +133,9 @@ class OnArmPoeEstimator(Estimator):
     def reset(self) -> None:
         """Take the bracket to be as it was at the training."""
         super().reset()
-        self._bumps = 0
+        self.bumps = self._bumps_before = 0
         self._moved = self._chain = self._fitted
+        self._bracket = np.eye(4)
         self._images: deque[_Seen] = deque(maxlen=_WINDOW)
         self._cause: _Cause | None = None
 
@@ -161,7 +162,8 @@ class OnArmPoeEstimator(Estimator):
             for cause in self._causes:
                 cause.learn(images, noise_m)
             self._cause = min(self._causes, key=attrgetter("cost"))
-            bracket = self._cause.state.bracket
+            self.bumps = self._bumps_before + self._cause.bumped
+            self._bracket = bracket = self._cause.state.bracket
             self._moved = self._fitted.moved(bracket[:3, :3].T, bracket[3, :3])
         self._chain = self._moved.anchored(joints_rad, z)
         self.updates += 1
@@ -174,17 +176,18 @@ class OnArmPoeEstimator(Estimator):
 
     def _begin(self, seen: _Seen, before: _Cause | None) -> None:
         """Forget the images, and look for causes of what is seen now."""
-        self._bumps, self._images = self.bumps, deque(maxlen=_WINDOW)
+        self._images.clear()
+        self._bumps_before = self.bumps
         unit = np.repeat([1.0, _ARM_M], 3)
-        free = unit if self.kind.numbers > 3 else np.repeat([0.0, _ARM_M], 3)  # no point turns
-        bracket, velocity, known = np.eye(4), np.zeros(6), np.zeros((3, 6))
+        free = np.repeat([float(self.kind.numbers > 3), _ARM_M], 3)  # no point turns
+        velocity, known = np.zeros(6), np.zeros((3, 6))
         if before is not None:
+            velocity = before.state.velocity
             known = np.sqrt(np.diag(before.covariance)).reshape(3, 6)
-            bracket, velocity = before.state.bracket, before.state.velocity
         rows = np.insert(seen.z.reshape(-1, 3), 3, 0.0, axis=1)
         rows[0, 3] = 1.0
-        carried = np.linalg.solve((seen.motion @ bracket).T, rows.T).T
-        state = _State(bracket, carried, velocity, float(seen.stamp_s))
+        carried = np.linalg.solve((seen.motion @ self._bracket).T, rows.T).T
+        state = _State(self._bracket, carried, velocity, float(seen.stamp_s))
         elsewhere, bumped = _ELSEWHERE_RAD * free, _ELSEWHERE_RAD * unit
         causes = [
             (state, _DEVIATION_RAD * unit, elsewhere, known[2]),
@@ -203,15 +206,9 @@ class OnArmPoeEstimator(Estimator):
         way_m = length((image.z - self._last.z) * self.kind.weights)
         return way_m > _STILL_M or largest(image.joints_rad - self._last.joints_rad) > _STILL_RAD
 
-    @property
-    def bumps(self) -> int:
-        """How often the bracket was bumped."""
-        return self._bumps + (self._cause is not None and self._cause.bumped)
-
     def status_values(self) -> dict[str, float]:
         """Counts, how far the bracket has been turned, and how often it was bumped."""
-        turned = np.eye(3) if self._cause is None else self._cause.state.bracket[:3, :3]
-        return {**super().status_values(), **camera_values(turned, self.bumps)}
+        return {**super().status_values(), **camera_values(self._bracket[:3, :3], self.bumps)}
 
 
 def _stacked(images: Iterable[_Seen]) -> _Seen:
