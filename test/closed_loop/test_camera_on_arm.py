@@ -164,7 +164,7 @@ def test_an_image_that_stands_is_no_object_that_is_followed(feature):
     loop.set_target(view_from(loop, 3))
     loop.run(0.15)
     simulation, rng, kind = loop.simulation, np.random.default_rng(0), loop.kind
-    stands, advance = loop.true_feature, simulation.advance
+    stands, advance, joints_rad = loop.true_feature, simulation.advance, simulation.joints_rad
 
     def frozen():
         out = advance()
@@ -178,6 +178,7 @@ def test_an_image_that_stands_is_no_object_that_is_followed(feature):
     last = loop.loop.supervisor.last
     assert last.reason in (Reason.STALLED, Reason.OSCILLATING)
     assert not last.velocity_rad_s.any()
+    assert np.abs(simulation.joints_rad - joints_rad).max() < 0.65  # before swings are counted
 
 
 @each("speed_m_s", [0.2, 0.3])
