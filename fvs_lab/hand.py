@@ -71,8 +71,11 @@ OPEN = {"view_half_angles_deg": (89.0, 89.0), "view_distance_m": (0.0, 9.0), "vi
 #: Distance from camera to object, m, their middle as published; the largest angles of the camera
 #: off the object's normal, and of its further roll and tilts, degrees.
 CNS_M, CNS_OFF_DEG, CNS_ROLL_DEG, CNS_TILT_DEG = 0.275 / 0.7 * np.array([0.5, 0.9]), 20.0, 15.0, 5.0
-#: Where it lies on a table, world frame, m: no such view of it is near a singularity of the UR5.
-TABLE_M = np.array([0.45, 0.1, 0.0])
+#: Where it lies on a table, world frame: no such view of it is near a singularity of the UR5, nor
+#: near an end of the joint that rolls the camera.
+TABLE = RigidPose(
+    np.array([0.45, 0.1, 0.0]), rotation_from_vector(np.array([0.0, 0.0, -0.5 * np.pi]))
+)
 #: Of a tag that faces a camera.
 FACING = np.diag([1.0, -1.0, -1.0])
 BUMPED, BELT, CNS = "bracket bumped", "belt", "starts of CNS"
@@ -196,17 +199,22 @@ def run(trial: Trial, simulation: Simulation) -> dict[str, Any]:
     return {**row, **size, "series": {}}
 
 
+def over_floor(row: dict[str, Any], simulation: Simulation, case: Case) -> dict[str, Any]:
+    """A row with its settling time over the least time."""
+    asked = JointLimits(joint_names=simulation.world.joint_names)
+    limits = JointLimits.from_values(_described(simulation, asked))
+    equal = Limits(limits.max_joint_velocity_rad_s, limits.max_joint_acceleration_rad_s2)
+    simulation.reset(case.goal_rad)
+    seen = simulation.true_chain().weighted(simulation.kind.weights)
+    floor_s = least_time_s(case, equal, SETTLED_ERROR_M, seen, limits.share)
+    return {**row, "over_5mm": row["to_5mm_s"] / floor_s}
+
+
 def to_second(task: tuple[Arm, int]) -> dict[str, Any]:
     """Servo to a second object: the row."""
     arm, (simulation, case) = task[0], second_object(*task)
     labels = {"part": "arms", "arm": arm.name, "joints": len(case.goal_rad), "learned": arm.error}
-    row = run(arm.trial(case, **labels), simulation)
-    asked = JointLimits(joint_names=simulation.world.joint_names)
-    limits = JointLimits.from_values(_described(simulation, asked))
-    equal = Limits(limits.max_joint_velocity_rad_s, limits.max_joint_acceleration_rad_s2)
-    seen = simulation.true_chain().weighted(simulation.kind.weights)
-    floor_s = least_time_s(case, equal, SETTLED_ERROR_M, seen, limits.share)
-    return {**row, "over_5mm": row["to_5mm_s"] / floor_s}
+    return over_floor(run(arm.trial(case, **labels), simulation), simulation, case)
 
 
 class Calibrated(OnArmPoeEstimator):
@@ -287,17 +295,17 @@ def cns(task: tuple[Arm, int]) -> list[dict[str, Any]]:
     arm, number = task
     simulation = _simulation(arm.name, arm.feature)
     rng, home = np.random.default_rng([435, number]), simulation.world.start_rad(ROOM)
-    _put(simulation, RigidPose(TABLE_M, np.eye(3)))
+    _put(simulation, TABLE)
     simulation.reset(home)
     chain, middle = simulation.true_chain(), KIND.of_body(CNS_M.mean() * np.eye(3)[2], FACING)
     ends = [_joints(chain, middle, home)]
     for z in (view(rng), view(rng)):
         ends.append(_joints(chain, z, ends[-1]))
     _, start, goal = (tuple(joints.tolist()) for joints in ends)
-    trial = arm.trial(Case(f"view {number}", start, goal, number), setting=CNS)
-    trial = replace(trial, duration_s=8.0, stop_after_s=1.5)
+    case = Case(f"view {number}", start, goal, number)
+    trial = replace(arm.trial(case, setting=CNS), duration_s=8.0, stop_after_s=1.5)
     free = trial.changed({"scheme": FREE}, controller=OPEN)
-    return [run(each, simulation) for each in (trial, free)]
+    return [over_floor(run(each, simulation), simulation, case) for each in (trial, free)]
 
 
 def _joints(chain: SerialChain, z: np.ndarray, near_rad: np.ndarray) -> np.ndarray:
@@ -364,7 +372,14 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 
 _REST = ("rest_m:half", "rest_m:largest", "rest_deg:half", "rest_deg:largest")
 _ARMS = ("learned:half", "settled:of", "over_5mm:half", *_REST, "failure:causes")
-_UR5 = ("settled:of", "to_5mm_s:half", "over_undisturbed:95 %", *_REST, "failure:causes")
+_UR5 = (
+    "settled:of",
+    "to_5mm_s:half",
+    "over_5mm:half",
+    "over_undisturbed:95 %",
+    *_REST,
+    "failure:causes",
+)
 TABLES = (
     lab.Table("arms", ("arm", "joints"), _ARMS, {"part": "arms"}),
     lab.Table("ur5", ("setting", "scheme"), _UR5, {"part": "ur5"}),
