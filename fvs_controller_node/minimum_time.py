@@ -88,7 +88,8 @@ class MinimumTimeLaw(ControlLaw):
             return joints + self.inverse.joint_velocity(
                 state.jacobian, -state.error_m, joints, state.home_rad
             )
-        wanted = state.kind.retract(chain.position(joints), -state.error_m)
+        kind, here, error_m = state.kind, chain.position(joints), state.error_m
+        wanted = kind.retract(here, -error_m)
         first = self._goal is None or state.change is Change.TARGET
         goal = joints if self._goal is None else self._goal
         new = first or largest(_missing(state, goal, wanted)[0]) > _JUMP_M
@@ -98,10 +99,8 @@ class MinimumTimeLaw(ControlLaw):
         goal = self._goal_from(goal, state, [wanted] * (4 if new else 1), new)
         if first and largest(_missing(state, goal, wanted)[0]) > _JUMP_M:
             # Large rotations lead elsewhere at once, but not in stages.
-            stages = [
-                state.kind.retract(chain.position(joints), -share * state.error_m)
-                for share in np.linspace(0.0, 1.0, _STAGES)
-            ]
+            shares = np.linspace(0.0, 1.0, _STAGES)
+            stages = [kind.retract(here, -share * error_m) for share in shares]
             goal = self._goal_from(joints, state, [*stages, wanted, wanted], new)
         return goal
 
@@ -113,11 +112,9 @@ class MinimumTimeLaw(ControlLaw):
         for wanted in path:
             missing, jacobian = _missing(state, goal, wanted)
             travel = goal - joints
-            missing = missing + jacobian @ travel
-            if homing and state.home_rad is not None:
-                velocity = self.inverse.joint_velocity(jacobian, missing, joints, state.home_rad)
-            else:
-                velocity = self.inverse.joint_velocity(jacobian, missing, joints, near=travel)
+            missing, home = missing + jacobian @ travel, state.home_rad
+            near = None if homing and home is not None else travel
+            velocity = self.inverse.joint_velocity(jacobian, missing, joints, home, near)
             goal = np.clip(joints + velocity, self.gains.lower_rad, self.gains.upper_rad)
         return goal
 

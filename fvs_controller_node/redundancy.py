@@ -24,13 +24,13 @@ zero at rest.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dgesdd, dorgqr, dposv
+from scipy.optimize import nnls
 
 from fvs_ros.limits import JointLimits
 from fvs_ros.params import Parameters, live_parameter, parameter
@@ -106,10 +106,6 @@ class LeastSpeedInverse(DampedInverse):
 
     limits: JointLimits | None = None
 
-    def __post_init__(self) -> None:
-        """Import what is slow to import now, not at the first tick."""
-        _nnls()
-
     def joint_velocity(
         self,
         jacobian: np.ndarray,
@@ -176,26 +172,12 @@ def _least_largest(least: np.ndarray, free: np.ndarray, nearness: float) -> np.n
     np.negative(upward[1:], out=downward[1:])
     distance[0] = 1.0
     try:
-        weights, _ = _nnls()(distance, _unit(len(distance)))
+        weights, _ = nnls(distance, np.eye(len(distance))[-1])
     except RuntimeError:  # it did not converge
         return least
     rest = distance.dot(weights)
     last = nearness * (float(rest[-1]) - 1.0)
     return least if abs(last) < _TINY else least - rest[1:-1].dot(free) * (scale / last)
-
-
-@cache
-def _nnls() -> Callable[..., Any]:
-    """Non-negative least squares: only the least speed needs them, 0.1 s to import."""
-    from scipy.optimize import nnls
-
-    return nnls
-
-
-@cache
-def _unit(length: int) -> np.ndarray:
-    """The last unit vector."""
-    return np.eye(length)[-1]
 
 
 def _homing(away_rad: np.ndarray, speed: float, room: float) -> np.ndarray:
