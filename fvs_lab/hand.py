@@ -79,6 +79,7 @@ TABLE = RigidPose(
 #: Of a tag that faces a camera.
 FACING = np.diag([1.0, -1.0, -1.0])
 BUMPED, BELT, CNS = "bracket bumped", "belt", "starts of CNS"
+IMAGES = "rendered images"
 
 
 @lru_cache(maxsize=1)
@@ -217,6 +218,13 @@ def to_second(task: tuple[Arm, int]) -> dict[str, Any]:
     return over_floor(run(arm.trial(case, **labels), simulation), simulation, case)
 
 
+def with_images(task: tuple[Arm, int]) -> dict[str, Any]:
+    """As to the second object, with rendered images in place of the exact camera: the row."""
+    arm, (simulation, case) = task[0], second_object(*task)
+    simulation.configure(replace(simulation.config, rendered=True, position_noise_m=0.0))
+    return run(arm.trial(case, setting=IMAGES), simulation)
+
+
 class Calibrated(OnArmPoeEstimator):
     """The robot's kinematics and a measured hand-eye, in which nothing is corrected."""
 
@@ -337,7 +345,8 @@ def measure(context: lab.Context) -> Results:
     for part, numbered in ((with_hand_eyes, first), (cns, starts)):
         for done in context.map(part, numbered, part.__name__):
             rows += done
-    rows += context.map(bumped, first, "bumps") + context.map(on_belt, first, "belt")
+    for each in (bumped, on_belt, with_images):
+        rows += context.map(each, first, each.__name__)
     ours = [row for row in rows if row.get("arm") == arms[0].name]
     return Results([*({**row, "part": "ur5", "setting": "none"} for row in ours), *rows])
 
