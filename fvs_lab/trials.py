@@ -125,13 +125,13 @@ class Bump:
     time_s: float
     #: Rotation vector about the camera's own centre, camera frame, degrees.
     rotation_deg: Vector
-    #: In the world frame, m.
+    #: In the world frame, or that of the link that carries the camera, m.
     translation_m: Vector
 
     def strike(self, simulation: Simulation) -> None:
         """Move the camera."""
-        rotated = simulation.camera.rotated(np.radians(self.rotation_deg))
-        simulation.camera = rotated.moved(np.array(self.translation_m))
+        rotated = simulation.mounted.rotated(np.radians(self.rotation_deg))
+        simulation.mounted = rotated.moved(np.array(self.translation_m))
 
 
 # ---- what is run ----------------------------------------------------------------------------
