@@ -259,6 +259,11 @@ class Supervisor:
         wanted, pending_rad = np.asarray(output.velocity_rad_s, float), self._present.pending_rad
         view = self._view() if wanted.any() else None  # what rests is not led off its target
         active += self._limiter.move(wanted, joints, dt_s, pending_rad, fast, view)
+        if not all_finite(self.velocity_rad_s):  # whatever went wrong on the way
+            self._limiter.stop()
+            fault = Reason.LAW_FAULT.because(why="the limits gave numbers that are not finite")
+            self.end(fault)
+            return self._rest(fault, joints, dt_s)
         self._where = next((limit for limit in active if limit in WHERE), "")
         reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING
         error = self.goal.error_m

@@ -14,6 +14,8 @@ from fvs_ros.topics import KindTopics, Topic
 from fvs_ros.vectors import LARGEST, length, plausible
 
 _TWISTS = np.eye(6)
+#: No camera sees what is nearer, m: zeros are what some trackers send while they see nothing.
+_NEAREST_M = 1e-3
 #: Values of the parameter ``camera_mount``.
 FIXED, ON_ARM = MOUNTS = ("fixed", "arm")
 
@@ -121,6 +123,8 @@ class Kind(Parameters):
         if not plausible(self.weights * z):
             numbers = self.columns_of(z).tolist()
             raise ValueError(f"is not finite, or further than {LARGEST:g} m: {numbers}")
+        if self.on_arm and self.rigid and length(z[:3]) < _NEAREST_M:
+            raise ValueError(f"is at the camera itself: {self.columns_of(z).tolist()}")
         return z
 
     def read(self, message: Any) -> np.ndarray:

@@ -4,6 +4,7 @@ from collections import deque
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import ur5_dh
 from cases import each
 from lock_step import GOAL_RAD, START_RAD, feature_at, loop_from, run
@@ -114,6 +115,27 @@ def test_a_target_out_of_view_is_refused():
     assert not accepted
     assert "at the right edge of the view by" in text
     assert loop.add_target(target, CAMERA_FRAME)[0]
+
+
+@each("law", ["minimum_time", "ftsm"])
+def test_an_object_at_the_camera_itself_moves_no_arm(law):
+    loop = ServoLoop(default_values(**ON_ARM | {"law": law}))
+    kind, chain, target = drawn("pose", 0)
+    at_camera = kind.of_body(np.zeros(3), np.eye(3))
+    with pytest.raises(ValueError, match="is at the camera itself"):
+        kind.checked(at_camera)
+    assert loop.add_target(target, CAMERA_FRAME)[0]
+    states = set()
+    for tick in range(100):  # even if it came to there
+        now_s = tick * DT_S
+        loop.add_joints(now_s, now_s, chain.reference_rad)
+        loop.add_image(now_s, now_s, at_camera)
+        loop.add_chain(now_s, chain)
+        loop.add_jacobian(now_s, kind.moved_by(at_camera, *chain.motion(chain.reference_rad)[1:]))
+        command = loop.tick(now_s, DT_S)
+        assert not command.velocity_rad_s.any()
+        states.add(command.state)
+    assert State.FAULT in states
 
 
 def test_a_fixed_camera_has_no_such_view():
