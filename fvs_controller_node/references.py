@@ -14,6 +14,7 @@ import numpy as np
 
 from fvs_ros.arguments import unknown
 from fvs_ros.kinds import Kind
+from fvs_ros.kinds.kind import FIXED
 from fvs_ros.yaml_text import read_yaml_file, write_yaml
 
 _HEAD = """\
@@ -22,7 +23,13 @@ _HEAD = """\
 # orientation. speed is the share of max_joint_velocity_rad_s on the way there. Teaching writes the
 # file anew, without comments.
 """
-_FEATURE, _FRAME, _SPEED, _DEVIATION = "feature", "frame", "speed", "deviation_m"
+_FEATURE, _MOUNT, _FRAME, _SPEED, _DEVIATION = (
+    "feature",
+    "mount",
+    "frame",
+    "speed",
+    "deviation_m",
+)
 #: Bytes of a file, which is read between two commands, and letters of a name.
 _MOST_BYTES, _LONGEST_NAME = 2**16, 80
 
@@ -58,7 +65,7 @@ class References:
             "version": 1,
             _FEATURE: kind.name,
             "joints": list(joint_names),
-            "mount": kind.camera_mount,
+            _MOUNT: kind.camera_mount,
         }
 
     def get(self, name: str) -> Reference:
@@ -138,7 +145,7 @@ class References:
         for item in entry:
             if item not in known:
                 raise ValueError(unknown("entry", str(item)[:_LONGEST_NAME], known))
-        origin = {**self._origin, _FEATURE: None, **entry}
+        origin = {**self._origin, _FEATURE: None, _MOUNT: FIXED, **entry}
         for name, expected in self._origin.items():
             if origin[name] != expected:
                 raise ValueError(f"it is of {name} {origin[name]!s:.200}, expected {expected}")

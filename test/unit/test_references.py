@@ -36,6 +36,8 @@ def test_a_file_from_before_it_told_its_origin_is_read(tmp_path):
     path = tmp_path / "references.yaml"
     path.write_text("grasp: {feature: ball, frame: object, x: 1e-3, y: 0, z: -0.1}")
     np.testing.assert_array_equal(References(path, Ball(), JOINTS).get("grasp").z, [1e-3, 0, -0.1])
+    with pytest.raises(ValueError, match="it is of mount fixed, expected arm"):
+        References(path, Ball(camera_mount="arm"), JOINTS).get("grasp")
 
 
 def test_no_file_is_written_or_read_that_is_too_large_for_the_controller(tmp_path):
