@@ -303,6 +303,10 @@ class ServoLoop:
             raise ValueError(f"{monitor.name} is {age_s:.1f} s old; is the object in view?")
         z, deviation_m = self._teacher.teach(relative)
         of_object = relative or self.kind.on_arm
+        if self.kind.on_arm:
+            why = config.out_of_view(self.kind, self._lens.measured(self.kind.inverse(z)))
+            if why:  # it would be refused as a target
+                raise ValueError(f"the {self.kind.what} is {why}")
         frame = OBJECT_FRAME if of_object else config.feature_frame
         return Reference(z, frame, deviation_m=deviation_m)
 

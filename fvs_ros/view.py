@@ -133,11 +133,10 @@ class ViewConfig(Parameters):
     def out_of_view(self, kind: Kind, z: np.ndarray) -> str:
         """Say by which bounds z, (m,), is out of view; empty if it is in view."""
         margins_m, _ = self.margins(kind, z)
-        return ", ".join(
-            f"{where} by {kind.length_text(-margin_m)}"
-            for where, margin_m in zip(WHERE, margins_m.tolist(), strict=False)
-            if margin_m < 0.0
-        )
+        amounts = [kind.length_text(-margin_m) for margin_m in margins_m.tolist()]
+        amounts[6:] = [f"{d:.0f} degrees" for d in np.degrees(-margins_m[6:] / kind.unit[-1])]
+        out = [f"{WHERE[i]} by {amounts[i]}" for i in np.flatnonzero(margins_m < 0.0)]
+        return f"{', '.join(out)} (see the parameters view_*)" if out else ""
 
     def barrier(
         self,
