@@ -144,7 +144,7 @@ class ServoClient:
     ) -> Result:
         """Go to a reference, and wait until it is reached, given up or out of time.
 
-        Once it is reached, the arm stays there, also if the object moves on.
+        Once it is reached, the session ends: the arm rests there, also if the object moves on.
 
         Parameters
         ----------
@@ -174,7 +174,7 @@ class ServoClient:
                 return Result(False, nan, passed_s, "another target was set meanwhile")
             reached = settled and passed_s <= timeout_s
             if reached:
-                self._call("set_current_as_target")
+                self.stop()
             if reached or passed_s > timeout_s or values.get("started") == "false":
                 error_m = nan
                 with suppress(ValueError):  # it may be unknown

@@ -144,5 +144,5 @@ def test_the_scenario_teaches_and_comes_again_where_the_object_has_jumped_to(ros
     process = ros_test.start("fvs_tools.launcher", "teach", *arguments)
     assert ros_test.wait(process, 120.0) == 0, ros_test.output(process)
     (result,) = json.loads((ros_test.folder / "out" / "results.json").read_text())
-    assert result["start_distance_m"] > 0.04
+    assert result["start_distance_m"] > 0.02
     assert result["final_rms_m"] < 0.003

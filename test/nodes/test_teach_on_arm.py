@@ -45,13 +45,19 @@ def test_a_view_is_taught_and_found_again_where_the_object_is(ros_test):
     assert "dock: reached in" in words
     assert np.linalg.norm(KIND.minus(KIND.inverse(robot.pose()), taught)) < 0.005
 
+    ros_test.spin_for(0.5)
+    there_rad = robot.joints
+    robot.move_object(0.05, *np.zeros(5))
+    ros_test.spin_for(0.5)
+    assert np.abs(robot.joints - there_rad).max() < 1e-3, "it goes after the object"
+
     robot.sees = False  # a hand before the lens
-    status.wait(lambda: status.reason() == "STALE", what="a hold")
+    status.wait(lambda: status.reason() == "STALE", what="a late image")
     code, words = servo("teach", "dock")
     assert code == 1
     assert "not taught: object_pose is" in words
     robot.sees = True
-    status.wait(lambda: status.reason() == "SETTLED", what="SETTLED")
+    status.wait(lambda: status.reason() == "READY", what="READY")
 
     path.write_text(path.read_text().replace("mount: arm", "mount: fixed"))
     code, words = servo("go", "dock")
