@@ -145,7 +145,7 @@ class _BehindCamera(Estimator):
         if not self.kind.rigid:
             raise ValueError(f"a {self.kind.what} does not turn with the camera: use rbf or frozen")
         if self.kind.on_arm:
-            raise ValueError("a camera on the arm turns with it: use poe, rbf or frozen")
+            raise ValueError("a camera on the arm turns with it: use another method than rbf_left")
         self.camera = CameraPose(deviation_rad, memory)
 
     def reset(self) -> None:

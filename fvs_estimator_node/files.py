@@ -81,7 +81,7 @@ class _OfFeature:
         if frame != right:
             raise ValueError(f"positions in the frame {frame!r}, expected {right!r}")
         made_for, right = (
-            f"{of.name} ({of.numbers} numbers){', camera_mount arm' * of.on_arm}"
+            f"{of.name} ({of.numbers} numbers), camera_mount {of.camera_mount}"
             for of in (self.kind, expected.kind)
         )
         if made_for != right:

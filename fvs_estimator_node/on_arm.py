@@ -26,6 +26,7 @@ from fvs_estimator_node.camera import camera_values, shows_bump
 from fvs_ros.chain import SerialChain, cross_matrix
 from fvs_ros.filter import Image
 from fvs_ros.kinds import Kind
+from fvs_ros.timeline import MAX_GAP_S
 from fvs_ros.vectors import largest, length
 
 #: Images that are kept, and the least motion between two of them, m and rad.
@@ -138,6 +139,7 @@ class OnArmPoeEstimator(Estimator):
         self._bracket = np.eye(4)
         self._images: deque[_Seen] = deque(maxlen=_WINDOW)
         self._cause: _Cause | None = None
+        self._seen_s = math.nan
 
     @property
     def chain(self) -> SerialChain:
@@ -153,8 +155,14 @@ class OnArmPoeEstimator(Estimator):
         """Learn the bracket's pose, and where the object is."""
         joints_rad, z = image.joints_rad, image.z
         seen = _Seen(np.array(image.stamp_s), z, self._fitted.transform(joints_rad))
-        if self._cause is None or self._is_off(self._cause, seen, noise_m):
-            self._begin(seen, self._cause)
+        cause, last_s, self._seen_s = self._cause, self._seen_s, image.stamp_s
+        paused = not 0.0 < image.stamp_s - last_s <= MAX_GAP_S  # or another clock's
+        if cause is not None and paused:
+            cause.state = cause.state._replace(velocity=np.zeros(6), time_s=image.stamp_s)
+        if cause is None or self._is_off(cause, seen, noise_m):
+            self._begin(seen, cause)
+        elif paused:
+            self._begin(seen)
         if not self._images or self._says_more(image):
             self._last = image
             self._images.append(seen)
@@ -171,10 +179,10 @@ class OnArmPoeEstimator(Estimator):
     def _is_off(self, cause: _Cause, seen: _Seen, noise_m: float) -> bool:
         """Whether what was seen is further off than the noise."""
         residual, slopes = cause.residuals(_stacked([seen]))
-        unsure_m2 = float(np.vdot(slopes @ cause.covariance, slopes))
+        unsure_m2 = max(float(np.vdot(slopes @ cause.covariance, slopes)), 0.0)
         return shows_bump(length(residual), math.sqrt(unsure_m2 + len(residual) * noise_m**2))
 
-    def _begin(self, seen: _Seen, before: _Cause | None) -> None:
+    def _begin(self, seen: _Seen, before: _Cause | None = None) -> None:
         """Forget the images, and look for causes of what is seen now."""
         self._images.clear()
         self._bumps_before = self.bumps
@@ -183,7 +191,7 @@ class OnArmPoeEstimator(Estimator):
         velocity, known = np.zeros(6), np.zeros((3, 6))
         if before is not None:
             velocity = before.state.velocity
-            known = np.sqrt(np.diag(before.covariance)).reshape(3, 6)
+            known = np.sqrt(np.diag(before.covariance).clip(0.0)).reshape(3, 6)
         rows = np.insert(seen.z.reshape(-1, 3), 3, 0.0, axis=1)
         rows[0, 3] = 1.0
         carried = np.linalg.solve((seen.motion @ self._bracket).T, rows.T).T

@@ -195,10 +195,10 @@ def test_a_pose_is_read_as_a_pose_and_not_as_a_ball(tmp_path):
     np.testing.assert_array_equal(data.z, seen)
     back = load_model(tmp_path / "m.npz", expected=wanted)
     np.testing.assert_allclose(back.chain.position(joints), seen)
-    with pytest.raises(
-        FileError, match=r"made for feature pose \(12 numbers\), expected ball \(3 numbers\)"
-    ):
-        load_model(tmp_path / "m.npz", expected=KindConfig("lens"))
+    for expected in (KindConfig("lens"), KindConfig("lens", camera_mount="arm", feature="pose")):
+        right = f"{expected.feature} .*, camera_mount {expected.camera_mount}"
+        with pytest.raises(FileError, match=f"pose .*, camera_mount fixed, expected {right}"):
+            load_model(tmp_path / "m.npz", expected=expected)
     rewrite(tmp_path / "d.npz", z=2.0 * seen)
     with pytest.raises(FileError, match="is no pose"):
         load_data_set(tmp_path / "d.npz")
