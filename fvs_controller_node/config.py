@@ -92,7 +92,8 @@ class SupervisorConfig(JointLimits, KindConfig, ViewConfig):
     )
     object_may_be_hidden_s: float = live_parameter(
         0.0,
-        "How long the last place of an object that stood still counts while it is hidden, s.",
+        "How long the last place of an object that stood still counts while it is hidden from a "
+        "fixed camera, s.",
         0.0,
         60.0,
     )
@@ -145,6 +146,8 @@ class SupervisorConfig(JointLimits, KindConfig, ViewConfig):
             raise ParameterError(
                 f"a {kind.name} needs {kind.least_joints} joints or more, got {joints}"
             )
+        if kind.on_arm and self.object_may_be_hidden_s:
+            raise ParameterError("object_may_be_hidden_s is not for camera_mount arm: set it to 0")
 
     @property
     def follows_object(self) -> bool:

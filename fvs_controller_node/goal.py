@@ -130,8 +130,8 @@ class Progress:
             )
         if self._swings_m > _SWINGS_M + 2.0 * self._first_m:
             return Reason.OSCILLATING.because(what=config.kind.what, distance=text(self._swings_m))
-        # An image that stands may be that of an object that moves; but on that the arm gains before
-        # it has gone twice as far, once to be as fast.
+        # An image that stands may be that of a moving object. The arm would have gained on it by
+        # then: one error's length to match its speed, one to close the gap.
         astray = self.travel_m > 2.0 * error_m + config.prediction_hold_m
         if astray or self._since_s >= config.stall_time_s:
             time = f"{config.stall_time_s:.0f} s"

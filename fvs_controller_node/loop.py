@@ -181,7 +181,8 @@ class ServoLoop:
     def _look_for_another_place(self, image: Image) -> None:
         """Begin anew where the object was put elsewhere: its jump is no fault of the arm.
 
-        A picture that is frozen jumps by no more than what the arm was to move in it.
+        A frozen picture lags by at most the predicted motion, so only a jump of more than twice
+        that counts as a moved object.
         """
         last = self._newest
         if last is None or image.run == last.run or image.stamp_s < self._put_s + _PUT_AGAIN_S:

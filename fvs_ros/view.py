@@ -37,8 +37,8 @@ WHERE = (
     "too far away",
     "seen too flat",
 )
-#: Times that the command is found with the speed found before. Speeds are too high and too low in
-#: turns, so that with an odd number the error is not taken for too small.
+#: Times that the command is found with the speed found before. The iteration over- and
+#: underestimates the speed in turn; an odd count ends on the safe side.
 _TIMES = 3
 
 

@@ -32,6 +32,8 @@ def test_values_that_do_not_fit_together_change_nothing():
         loop.configure(default_values(workspace_min_m=[5.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match="needs 3 numbers, got 2"):
         loop.configure(default_values(workspace_min_m=[0.0, 0.0], workspace_max_m=[1.0, 1.0]))
+    with pytest.raises(ValueError, match="object_may_be_hidden_s is not for camera_mount arm"):
+        loop.configure(default_values(camera_mount="arm", object_may_be_hidden_s=1.0))
     assert loop.law is law
     assert loop.supervisor.config is config
     loop.configure(default_values(alpha2=1.0, max_joint_velocity_rad_s=0.2))
