@@ -8,6 +8,7 @@ from functools import cached_property
 from fvs_ros.camera import FeatureConfig
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.kind import FIXED, MOUNTS, ErrorText, Kind
+from fvs_ros.kinds.points import Points
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.params import Parameters, parameter, parts_of
 
@@ -19,6 +20,7 @@ class KindParameters(FeatureConfig):
     """Each kind with its parameters, by the value of the parameter ``feature``."""
 
     ball: Ball = field(default_factory=Ball)
+    points: Points = field(default_factory=Points)
     pose: Pose = field(default_factory=Pose)
 
 

@@ -1,0 +1,95 @@
+"""Image points of one camera, px: what a tracker finds, without depth and calibration.
+
+z is u and v of one point after the other. Nothing is known of how they move under a twist: their
+Jacobian is learned as it is, by networks. A pixel counts as the length ``pixel_m``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fvs_ros.kinds.kind import Kind
+from fvs_ros.params import parameter
+from fvs_ros.topics import COLLECTOR, CONTROLLER, ESTIMATOR, kind_topics, message_class
+
+_COUNT = 4
+
+
+def _names(count: int) -> tuple[str, ...]:
+    return tuple(f"{axis}{i + 1}" for i in range(count) for axis in "uv")
+
+
+_TOPICS = kind_topics(
+    "geometry_msgs/msg/PolygonStamped",
+    (
+        "image_points",
+        "All points in a fixed order, x to the right and y down, px, stamped with the exposure; "
+        "silent while one of them is not seen.",
+    ),
+    ("target_points", "Where the points are to be seen, as in `image_points`."),
+    ("object_points", "The same of an object, for targets relative to it; optional."),
+)
+
+
+@dataclass(frozen=True)
+class Points(Kind):
+    """``points`` image points of one camera."""
+
+    name, what = "points", "pattern"
+    columns = axes = _names(_COUNT)
+    box_size, rigid = 0, False
+    topics = _TOPICS._replace(
+        tool=replace(_TOPICS.tool, publishers=(), subscribers=(ESTIMATOR, CONTROLLER, COLLECTOR)),
+        target=replace(_TOPICS.target, publishers=()),
+        truth=replace(_TOPICS.truth, publishers=(), subscribers=()),
+    )
+
+    points: int = parameter(_COUNT, "Count of the image points; for points.", 1, 32)
+    pixel_m: float = parameter(
+        0.005,
+        "Length that a pixel counts as, m; for points. Limits and gains of lengths then hold for "
+        "pixels.",
+        1e-5,
+        0.1,
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("columns", "axes"):
+            object.__setattr__(self, name, _names(self.points))
+
+    @classmethod
+    def of_numbers(cls, count: int) -> Points:
+        """Half as many points as numbers."""
+        if count % 2:
+            raise ValueError(f"image points have an even count of numbers, got {count}")
+        return cls(count // 2)
+
+    @cached_property
+    def unit(self) -> np.ndarray:
+        """The length of a pixel, m, (d,)."""
+        return np.full(2 * self.points, self.pixel_m)
+
+    def read(self, message: Any) -> np.ndarray:
+        """Points of a ``PolygonStamped``, px, (m,)."""
+        points = message.polygon.points
+        if len(points) != self.points:
+            raise ValueError(f"has {len(points)} points, expected {self.points}")
+        return self.checked(np.array([(point.x, point.y) for point in points]).ravel())
+
+    def write(self, message: Any, z: np.ndarray) -> None:
+        """Fill in a ``PolygonStamped``."""
+        point = message_class("geometry_msgs/msg/Point32")
+        message.polygon.points = [point(x=u, y=v) for u, v in z.reshape(-1, 2).tolist()]
+
+    def text(self, z: np.ndarray) -> str:
+        """Points in words."""
+        return ", ".join(f"({u:.1f}, {v:.1f})" for u, v in z.reshape(-1, 2)) + " px"
+
+    def length_text(self, length_m: float, digits: int = 0) -> str:
+        """A length in pixels."""
+        return f"{length_m / self.pixel_m:.{digits}f} px"

@@ -1,0 +1,193 @@
+"""Image points by a camera of which nothing is known: learned from a minute of motion, servoed."""
+
+import time
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ur5_dh
+from geometry_msgs.msg import Point32, PolygonStamped
+from harness import Statuses
+from recordings import Recording, ur5_chain
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+from fvs_controller_node.config import default_values
+from fvs_controller_node.loop import ServoLoop
+from fvs_estimator_node.files import (
+    DataSet,
+    FileError,
+    load_data_set,
+    load_model,
+    save_data_set,
+    save_model,
+)
+from fvs_estimator_node.loop import EstimationLoop
+from fvs_estimator_node.rbf import RbfEstimator
+from fvs_estimator_node.registry import create_estimator
+from fvs_estimator_node.training import TrainingOptions, train
+from fvs_ros import ros, topics
+from fvs_ros.camera import CAMERA_FRAME, Intrinsics
+from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.kinds import KindConfig
+from fvs_ros.kinds.points import Points
+
+KIND = Points()
+CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+NOISE_PX, DT_S, IMAGE_TICKS, LATE_TICKS, PERIOD_S = 0.2, 0.008, 4, 5, 1.0 / 60.0
+#: Points of a thing about the tool's point, m, at the first joints; in no plane: the tilt of a flat
+#: one that faces the camera hardly shows.
+CORNERS_M = 0.1 * np.array(
+    [[-1.0, -1.0, 0.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, 1.0, 0.5]]
+)
+
+
+def arm():
+    """A UR5 that carries the thing."""
+    chain = ur5_chain(origin_m=np.array([0.15, 0.0, 1.6]))
+    return replace(chain, feature_m=np.append(chain.feature_m, CORNERS_M))
+
+
+ARM = arm()
+
+
+def seen(joints):
+    """The points at joints, (..., n): px, (..., m)."""
+    plate = ARM.position(joints)
+    corners = plate[..., None, :3] + plate[..., 3:].reshape(*plate.shape[:-1], -1, 3)
+    return CAMERA.project(corners).reshape(*plate.shape[:-1], -1)
+
+
+def measured(joints, rng):
+    z = seen(joints)
+    return z + NOISE_PX * rng.normal(size=z.shape)
+
+
+@pytest.fixture(scope="module")
+def data():
+    stamps_s = np.arange(1800) / 30.0
+    joints = Recording().joints(stamps_s)
+    z = measured(joints, np.random.default_rng(1))
+    return DataSet(stamps_s, joints, z, np.zeros(len(z)), UR_JOINT_NAMES, feature=KIND.name)
+
+
+@pytest.fixture(scope="module")
+def trained(data):
+    return train(data, TrainingOptions("ridge"))
+
+
+def goals(rng):
+    return ur5_dh.HOME_RAD + rng.uniform(-0.2, 0.2, (3, 6))
+
+
+def test_networks_of_a_minute_bring_the_points_to_their_targets_to_a_pixel(trained):
+    rng = np.random.default_rng(2)
+    servo = ServoLoop(default_values(feature=KIND.name, autostart=True))
+    estimation = EstimationLoop(RbfEstimator(trained.model, kind=KIND))
+    joints, waiting, tick = ur5_dh.HOME_RAD.copy(), deque(), 0
+    for target in seen(goals(rng)):
+        set_at = tick + 20
+        for tick in range(tick + 1, tick + round(6.0 / DT_S)):  # noqa: B020
+            now_s = 10.0 + DT_S * tick
+            if tick == set_at:
+                assert servo.add_target(target, CAMERA_FRAME)[0]
+            if tick % IMAGE_TICKS == 0:
+                waiting.append((tick + LATE_TICKS, now_s, measured(joints, rng)))
+            if waiting and waiting[0][0] == tick:
+                _, stamp_s, z = waiting.popleft()
+                estimation.add_image(stamp_s, z)
+                servo.add_image(now_s, stamp_s, z)
+            estimation.add_joints(now_s, joints)
+            if not estimation.problem:
+                servo.add_jacobian(now_s, estimation.jacobian(joints))
+            servo.add_joints(now_s, now_s, joints)
+            command = servo.tick(now_s, DT_S)
+            if servo.sliding_variable is not None:
+                estimation.add_sliding_variable(now_s, servo.sliding_variable)
+            joints = joints + DT_S * command.velocity_rad_s
+        assert " px off" in command.text
+        np.testing.assert_allclose(seen(joints), target, atol=1.0)
+
+
+def test_a_file_tells_how_many_points_and_no_chain_is_made_of_them(data, trained, tmp_path):
+    save_data_set(tmp_path / "d.npz", data)
+    save_model(tmp_path / "m.npz", trained)
+    assert load_data_set(tmp_path / "d.npz", expected=KindConfig(feature="points")).kind == KIND
+    three = KindConfig(feature="points", points=Points(3))
+    with pytest.raises(FileError, match=r"points \(8 numbers\), expected points \(6 numbers\)"):
+        load_model(tmp_path / "m.npz", expected=three)
+    assert "no rigid body" in trained.provenance["no_chain"]
+    with pytest.raises(ValueError, match="no rigid body"):
+        train(data, TrainingOptions("poe"))
+    with pytest.raises(ValueError, match="does not turn with the camera"):
+        create_estimator("rbf_left", load=lambda: trained, kind=KIND)
+    with pytest.raises(ValueError, match="even count"):
+        replace(data, z=data.z[:, 1:])
+
+
+def test_a_message_is_read_as_it_was_written_and_refused_if_it_has_other_points():
+    z = seen(ur5_dh.HOME_RAD)
+    message = ros.to_feature(1.0, CAMERA_FRAME, KIND, z)
+    np.testing.assert_allclose(KIND.read(message), z, atol=1e-3)
+    with pytest.raises(ValueError, match="has 4 points, expected 3"):
+        Points(3).read(message)
+    message.polygon.points[2].y = float("nan")
+    with pytest.raises(ValueError, match="not finite"):
+        KIND.read(message)
+
+
+class Robot:
+    """An arm and a tracker that are not ours, stepped at 60 Hz; an image every second step."""
+
+    def __init__(self, harness):
+        self.rng, self.joints, self.steps = np.random.default_rng(4), ur5_dh.HOME_RAD.copy(), 0
+        self.command, self.began_s = np.zeros(6), time.time()
+        node = harness.node
+        self.states = node.create_publisher(JointState, topics.JOINT_STATES.name, 10)
+        self.images = node.create_publisher(PolygonStamped, "image_points", 10)
+        node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self.obey, 10)
+        node.create_timer(PERIOD_S, self.catch_up)
+
+    def obey(self, message):
+        self.command = np.array(message.data)
+
+    def catch_up(self):
+        while (now_s := self.began_s + self.steps * PERIOD_S) < time.time():
+            self.steps += 1
+            self.joints = self.joints + PERIOD_S * self.command
+            self.states.publish(ros.to_joint_state(now_s, UR_JOINT_NAMES, self.joints, np.zeros(0)))
+            if self.steps % 2:
+                self.images.publish(polygon(measured(self.joints, self.rng), now_s))
+
+
+def polygon(z, stamp_s=0.0):
+    message = PolygonStamped()
+    message.header.frame_id, message.header.stamp = CAMERA_FRAME, ros.to_stamp(stamp_s)
+    message.polygon.points = [Point32(x=u, y=v) for u, v in z.reshape(-1, 2).tolist()]
+    return message
+
+
+def test_the_nodes_bring_the_points_of_anybodys_tracker_to_a_target(ros_test, trained):
+    model = ros_test.folder / "model.npz"
+    save_model(model, trained)
+    robot, status = Robot(ros_test), Statuses(ros_test, topics.CONTROLLER)
+    common = {"feature": "points", "points": 4}
+    ros_test.start_node("fvs_estimator_node.node", model_path=model, **common)
+    ros_test.start_node("fvs_controller_node.node", **common)
+    targets = ros_test.publisher(PolygonStamped, "target_points", ros.QOS_LATCHED)
+
+    def started():
+        servoing = status.value("state") == "SERVOING"
+        return servoing or ros_test.call(Trigger, f"{topics.CONTROLLER}/start").success
+
+    for target in seen(goals(robot.rng)):
+        targets.publish(polygon(target))
+        status.wait(started, what="a start")
+
+        def there(target=target):
+            return status.reason() == "SETTLED" and np.abs(seen(robot.joints) - target).max() < 1.0
+
+        status.wait(there, 60.0, what="the points on their target to a pixel")
+        assert " px off" in status.text()
