@@ -60,8 +60,8 @@ class _OfFeature:
     @property
     def kind(self) -> Kind:
         """The kind of feature, with the usual parameters; a ``ValueError`` if m is not its own."""
-        kind = KINDS[self.feature](camera_mount=self.camera_mount)
         count = getattr(self, self._measured).shape[1]
+        kind = KINDS[self.feature].of_numbers(count, self.camera_mount)
         if count != kind.numbers:
             raise ValueError(f"a {kind.name} has {kind.numbers} numbers, got {count}")
         return kind

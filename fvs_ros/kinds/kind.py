@@ -66,6 +66,11 @@ class Kind(Parameters):
 
     camera_mount: str = field(default=FIXED, kw_only=True)
 
+    @classmethod
+    def of_numbers(cls, count: int, camera_mount: str) -> Kind:
+        """The kind with the usual parameters of which a file may hold ``count`` numbers."""
+        return cls(camera_mount=camera_mount)
+
     @property
     def on_arm(self) -> bool:
         """Whether the camera is on the arm."""

@@ -48,7 +48,7 @@ class Points(Kind):
         truth=replace(_TOPICS.truth, publishers=(), subscribers=()),
     )
 
-    points: int = parameter(_COUNT, "Count of the image points; for points.", 1, 32)
+    points: int = parameter(_COUNT, "Count of the image points; for points.", 1, 64)
     pixel_m: float = parameter(
         0.005,
         "Length that a pixel counts as, m; for points. Limits and gains of lengths then hold for "
@@ -63,11 +63,11 @@ class Points(Kind):
             object.__setattr__(self, name, _names(self.points))
 
     @classmethod
-    def of_numbers(cls, count: int) -> Points:
+    def of_numbers(cls, count: int, camera_mount: str) -> Points:
         """Half as many points as numbers."""
         if count % 2:
             raise ValueError(f"image points have an even count of numbers, got {count}")
-        return cls(count // 2)
+        return cls(count // 2, camera_mount=camera_mount)
 
     @cached_property
     def unit(self) -> np.ndarray:
