@@ -46,7 +46,7 @@ _ROUGH, _SAME, _SAME_COST = 0.1, 0.02, 1e-3
 #: own systematic errors stay below.
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
 #: Least count of pairs of neighbouring images for a median.
-_LEAST_PAIRS = 50
+LEAST_PAIRS = 50
 #: Prior standard deviations, which hold coordinates that the data do not determine: rad, m, m/rad
 #: for turns, shifts and slopes of the residuals by the joints; s for the offset.
 _PRIOR, _OFFSET_PRIOR_S = 1.0, 0.1
@@ -408,7 +408,7 @@ class _Fitting:
         apart_m = np.linalg.norm(np.diff(residual, axis=0), axis=1)
         apart_m = apart_m[(passed_s > 0.0) & (passed_s < MAX_GAP_S)]
         noise_m = math.nan
-        if len(apart_m) >= _LEAST_PAIRS:
+        if len(apart_m) >= LEAST_PAIRS:
             noise_m = float(np.median(apart_m)) / math.sqrt(2.0)
         return float(np.median(np.linalg.norm(residual, axis=1))), noise_m
 

@@ -1,0 +1,325 @@
+"""Fits a chain and the lens before it to the pixels of points, from no guess of either.
+
+The unknowns are the 4 n + 3 K numbers of a chain of n joints that carries K points, the lens' focal
+length, centre and k1, and how late the images are stamped. They are found by robust non-linear
+least squares with exact derivatives, from random starts on some images; the best goes on to all.
+
+The scale stays free: a pixel, and so the Jacobian, does not depend on it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from operator import itemgetter
+from typing import NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
+from fvs_estimator_node.chain_fit import LEAST_PAIRS, ChainFitError
+from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path
+from fvs_ros.chain import SerialChain
+from fvs_ros.filter import OUTLIER
+from fvs_ros.pixel_chain import Lens, PixelChain, points_of, slopes_of_points
+from fvs_ros.timeline import MAX_GAP_S
+
+#: Fewest images of a motion that are fitted, and images of the search for the right start.
+_LEAST_IMAGES, _SEARCH_IMAGES = 100, 200
+#: Random starts: at least, where the noise is unknown, and at most; and steps of each. One of four
+#: reaches the best optimum.
+_LEAST_STARTS, _MOST_STARTS, _STEPS = 30, 80, 60
+#: Of the starts: distances of the axes from the first point, which is at 1; the spread of the log
+#: focal length; the least distance of a point from the camera.
+_NEAR, _FOCAL, _CLOSEST = 0.4, 0.2, 0.3
+#: First guess of a start's residuals, over the spread of the pixels. What is further off than this
+#: after the fit is no chain's.
+_ROUGH = 0.05
+#: Residuals of the same optimum differ by less than this factor; and residual over noise above
+#: which an optimum is not the best.
+_SAME, _MISFIT_LIMIT = 1.02, 1.15
+#: Least gain of a step, as a share of the cost: of the rough and the fine search, and of the fit.
+_ENOUGH, _CONVERGED = (1e-3, 1e-4), 1e-7
+#: Prior standard deviations of log f, k1, and c as a share of the longest side of the picture; of
+#: the delay, s; of the chain's coordinates, in distances of the first point and rad.
+_LENS_PRIOR, _LATE_PRIOR_S, _PRIOR = (0.5, 0.2, 0.2), 0.1, 1.0
+#: Relative deviation of the Jacobian, median over the data, above which it is not known. (A fit of
+#: 7 s may be at another optimum, which its covariance does not know of.)
+_UNKNOWN = 0.01
+#: Step of the derivatives of the Jacobian by the coordinates.
+_STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class PixelFit:
+    """A fitted chain with its lens, and how far they can be trusted.
+
+    Parameters
+    ----------
+    model : PixelChain
+        Chain and lens.
+    residual_px, noise_px : float
+        Standard deviations of a coordinate, px: of the images from the model, and of its noise
+        part, which changes from one image to the next; NaN if the images are too far apart.
+    outliers, samples : int
+        Images further than six standard deviations from the model, and all.
+    covariance : ndarray, shape (4 n + 3 K + 5, 4 n + 3 K + 5)
+        By the noise, of the coordinates of a :class:`~fvs_estimator_node.chain_chart.Chart` at the
+        chain, then of log f, c, px, and k1; the delay, s, is the last.
+    """
+
+    model: PixelChain
+    residual_px: float
+    noise_px: float
+    outliers: int
+    samples: int
+    covariance: np.ndarray
+
+    @property
+    def misfit(self) -> float:
+        """Residual over noise: 1 for a serial chain; NaN if the images are too far apart."""
+        return self.residual_px / self.noise_px
+
+    @property
+    def lens_deviation(self) -> np.ndarray:
+        """Standard deviations of the lens' ``numbers``, (5,)."""
+        deviation: np.ndarray = np.sqrt(np.diag(self.covariance)[-5:])
+        return deviation * [self.model.lens.focal_px, 1.0, 1.0, 1.0, 1.0]
+
+    def jacobian_deviation(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Relative deviation of the Jacobian by the noise, (k,), at joints, rad, (k, n)."""
+        jacobian = self.model.jacobian(joints_rad)
+        steps = _STEP * np.eye(len(self.covariance))
+        changes = [changed(self.model, step).jacobian(joints_rad) - jacobian for step in steps]
+        slopes = np.stack(changes, axis=-1).reshape(len(joints_rad), -1, len(steps)) / _STEP
+        variance = np.sum(slopes @ self.covariance * slopes, axis=(1, 2))
+        return np.asarray(np.sqrt(variance) / np.linalg.norm(jacobian, axis=(1, 2)))
+
+
+def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> PixelFit:
+    """Fit a chain and its lens to pixels and joints.
+
+    Parameters
+    ----------
+    data : DataSet
+        Of the kind ``points``: a minute of motion of all joints, or still poses.
+    progress : callable, optional
+        Called with a text at each stage.
+
+    Raises
+    ------
+    ChainFitError
+        If there is too little data, nothing fits, or the Jacobian is not known after the fit.
+    """
+    say, fitting = progress or (lambda words: None), _Fitting(data)
+    images, least = len(fitting.pixels), _LEAST_IMAGES
+    if data.still:
+        least = math.ceil((4 * data.joints_rad.shape[1] + 5) / data.z.shape[1]) + 3
+    if images < least:
+        raise ChainFitError(
+            f"a chain before a webcam needs at least {least} images in continuous runs, the data "
+            f"set has {images}: collect longer, with all points in the picture"
+        )
+    if fitting.spread_px < 1.0:
+        raise ChainFitError("the points do not move in the data set, so there is no chain to find")
+    with threadpool_limits(1):  # matrices of few columns
+        say("looking for the axes")
+        start = fitting.start()
+        say("fitting")
+        fit = fitting.finish(start)
+    if fit.residual_px > _ROUGH * fitting.spread_px:
+        raise ChainFitError(
+            f"no arm with these joints explains the pixels, which are {fit.residual_px:.1f} px off "
+            "it; check joint names and units, and that camera and points stayed fixed"
+        )
+    some = np.linspace(0, len(data) - 1, _SEARCH_IMAGES).astype(int)
+    deviation = float(np.median(fit.jacobian_deviation(data.joints_rad[some])))
+    if not deviation <= _UNKNOWN:
+        raise ChainFitError(
+            f"the Jacobian is known to {100.0 * deviation:.1f} % only, at most "
+            f"{100.0 * _UNKNOWN:g} % is needed; collect longer or in a wider box"
+        )
+    return fit
+
+
+def changed(model: PixelChain, values: np.ndarray) -> PixelChain:
+    """The model at coordinates, those of the covariance; zeros are the model itself."""
+    chain, lens = np.append(values[:-5], 0.0), model.lens
+    numbers = lens.numbers + [0.0, *values[-4:]]
+    numbers[0] *= math.exp(values[-5])
+    return PixelChain(Chart(model.chain).chain(chain), Lens.of_numbers(numbers))
+
+
+def residuals(
+    model: PixelChain, path: Path, pixels: np.ndarray, images: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Model minus pixels, px, (k, K, 2), of some images, and the derivatives, (k, K, 2, p).
+
+    The latter are by the coordinates of :func:`changed`.
+    """
+    chart = Chart(model.chain)
+    joints, velocity = (of_all[images] for of_all in path.joints_and_velocities(model.lens.late_s))
+    nothing = np.zeros((len(joints), model.chain.feature_m.size))
+    carried, slopes = residuals_and_slopes(chart, np.zeros(chart.size), joints, velocity, nothing)
+    seen, by_point, by_lens = model.lens.project(points_of(carried))
+    slopes = by_point @ slopes_of_points(slopes)
+    columns = [slopes[..., :-1], by_lens, slopes[..., -1:]]
+    return seen - pixels[images], np.concatenate(columns, axis=-1)
+
+
+class _Optimum(NamedTuple):
+    """A model, its cost, gradient and, by Gauss and Newton, Hessian."""
+
+    model: PixelChain
+    cost: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+
+
+class _Fitting:
+    """One fit to the pixels, (k, K, 2), of k images."""
+
+    def __init__(self, data: DataSet) -> None:
+        self._path = Path(data)
+        self.pixels = data.z[self._path.indices].reshape(len(self._path.indices), -1, 2)
+        self.spread_px = float(np.linalg.norm(data.z[:, :2].std(axis=0)))
+        self._middle, self._side = self.pixels.mean(axis=(0, 1)), float(data.z.max())
+        self._all = np.arange(len(self.pixels))
+        few = np.linspace(0, len(self.pixels) - 1, min(_SEARCH_IMAGES, len(self.pixels)))
+        self._few = few.astype(int)
+
+    def start(self) -> PixelChain:
+        """The best of some random chains, each joint of which may be prismatic, too."""
+        rng = np.random.default_rng(0)
+        optima: list[tuple[float, PixelChain]] = []
+
+        def improve(model: PixelChain) -> bool:
+            """Whether the best optimum has been found twice and is as good as the noise allows."""
+            scale_px, noise_px = _ROUGH * self.spread_px, math.nan
+            try:
+                for least_gain in _ENOUGH:  # beside a rough scale, the lens remains as guessed
+                    model = self._descend(model, self._few, scale_px, least_gain).model
+                    scale_px, noise_px = self._deviations_px(model)
+            except ValueError:  # a point of other images is behind the camera
+                return False
+            optima.append((scale_px, model))
+            optima.sort(key=itemgetter(0))
+            if len(optima) < (_LEAST_STARTS if math.isnan(noise_px) else 2):
+                return False
+            (best_px, _), (second_px, _), *_ = optima
+            return second_px <= _SAME * best_px and not best_px > _MISFIT_LIMIT * noise_px
+
+        if not any(improve(self._random(rng)) for _ in range(_MOST_STARTS)) and optima:
+            for joint in range(len(optima[0][1].chain.axes)):
+                best = optima[0][1]
+                chain, is_joint = best.chain, np.arange(len(best.chain.axes)) == joint
+                slopes = chain.jacobian(chain.reference_rad)[:3]
+                shifting = replace(
+                    chain,
+                    axes=np.where(is_joint[:, None], slopes.T, chain.axes),
+                    prismatic=np.where(is_joint, 1.0, chain.prismatic),
+                )
+                improve(replace(best, chain=shifting))
+        if not optima:
+            raise ChainFitError("no chain has all points before the camera: are they pixels?")
+        return optima[0][1]
+
+    def _random(self, rng: np.random.Generator) -> PixelChain:
+        """A chain anywhere about the points, which stay before a usual lens."""
+        joints = self._path.joints_and_velocities(0.0)[0]
+        central = int(np.linalg.norm(joints - joints.mean(axis=0), axis=1).argmin())
+        focal_px = self._side * math.exp(_FOCAL * rng.normal())
+        rays = np.insert((self.pixels[central] - self._middle) / focal_px, 2, 1.0, axis=1)
+        axes, near = rng.normal(size=(2, joints.shape[1], 3))
+        near, carried = _NEAR * near, np.append(rays[0], (rays[1:] - rays[0]).ravel())
+        while True:
+            chain = SerialChain(axes, rays[0] + near, carried, joints[central])
+            if points_of(chain.position(joints))[..., 2].min() > _CLOSEST:
+                return PixelChain(chain, Lens(focal_px, tuple(self._middle.tolist())))
+            near, carried[3:] = 0.8 * near, 0.8 * carried[3:]
+
+    def finish(self, model: PixelChain) -> PixelFit:
+        """Fit all images, then without outliers."""
+        images = self._all
+        for _ in range(2):
+            scale_px, _ = self._deviations_px(model)
+            optimum = self._descend(model, images, scale_px, _CONVERGED)
+            model = optimum.model
+            scale_px, noise_px = self._deviations_px(model)
+            off_px = np.abs(self._off_px(model)).max(axis=(1, 2))
+            images = np.flatnonzero(off_px <= OUTLIER * scale_px)
+        return PixelFit(
+            model=model,
+            residual_px=scale_px,
+            noise_px=noise_px,
+            outliers=len(off_px) - len(images),
+            samples=len(off_px),
+            covariance=np.linalg.inv(optimum.hessian),
+        )
+
+    def _off_px(self, model: PixelChain) -> np.ndarray:
+        """Model minus pixels, px, (k, K, 2)."""
+        joints = self._path.joints_and_velocities(model.lens.late_s)[0]
+        return model.position(joints).reshape(self.pixels.shape) - self.pixels
+
+    def _deviations_px(self, model: PixelChain) -> tuple[float, float]:
+        """Standard deviations of a coordinate, px, and of its noise; see :class:`PixelFit`."""
+        off_px, passed_s = self._off_px(model), np.diff(self._path.stamps_s)
+        apart_px = np.diff(off_px, axis=0)[(passed_s > 0.0) & (passed_s < MAX_GAP_S)]
+        noise_px = math.nan
+        if len(apart_px) >= LEAST_PAIRS:
+            noise_px = _deviation_px(apart_px) / math.sqrt(2.0)
+        return _deviation_px(off_px), noise_px
+
+    def _descend(
+        self, model: PixelChain, images: np.ndarray, scale_px: float, least_gain: float
+    ) -> _Optimum:
+        """The optimum that the steps of Levenberg, Marquardt and Nielsen lead to."""
+        best, damping, growth = self._optimum(model, images, scale_px), 0.01, 2.0
+        for _ in range(_STEPS):
+            held = damping * np.diag(best.hessian)
+            step = np.linalg.solve(best.hessian + np.diag(held), -best.gradient)
+            try:
+                tried = self._optimum(changed(best.model, step), images, scale_px)
+            except (ValueError, OverflowError):  # after a step too far, which is then made shorter
+                tried = best
+            gain = best.cost - tried.cost
+            if gain > 0.0:
+                expected = step @ (held * step - best.gradient)
+                damping *= max(0.1, 1.0 - (2.0 * gain / expected - 1.0) ** 3)
+                best, growth = tried, 2.0
+                if gain < least_gain * best.cost:
+                    break
+            else:
+                damping, growth = damping * growth, 2.0 * growth
+        return best
+
+    def _optimum(self, model: PixelChain, images: np.ndarray, scale_px: float) -> _Optimum:
+        """A model with its cost, in which pixels that are far off count less."""
+        lens = model.lens
+        if abs(lens.late_s) > MAX_OFFSET_S:
+            raise ValueError(f"images are stamped late by {lens.late_s:g} s")
+        residual, slopes = residuals(model, self._path, self.pixels, images)
+        residual, slopes = residual / scale_px, slopes / scale_px
+        root = np.sqrt(1.0 + np.sum(residual**2, axis=-1, keepdims=True) / 4.0)
+        rows = (slopes / np.sqrt(root)[..., None]).reshape(residual.size, -1)
+        missed = (residual / np.sqrt(root)).ravel()
+        # The chain's coordinates begin at the model, so that their prior only holds them.
+        held, deviation = np.zeros((2, rows.shape[1]))
+        held[-5:] = lens.numbers - [self._side, *self._middle, 0.0, 0.0]
+        held[-5] = math.log(lens.focal_px / self._side)
+        focal, k1, centre = _LENS_PRIOR
+        deviation[:-5], deviation[-1] = _PRIOR, _LATE_PRIOR_S
+        deviation[-5:-1] = focal, centre * self._side, centre * self._side, k1
+        cost = 8.0 * float(np.sum(root - 1.0)) + float(np.sum((held / deviation) ** 2))
+        gradient = rows.T @ missed + held / deviation**2
+        return _Optimum(model, cost, gradient, rows.T @ rows + np.diag(deviation**-2))
+
+
+def _deviation_px(off_px: np.ndarray) -> float:
+    """Standard deviation of a coordinate, px, of vectors, (..., 2), by their median length."""
+    lengths = np.linalg.norm(off_px, axis=-1)
+    return max(float(np.median(lengths)) / 1.1774, 1e-3)  # the median of a Rayleigh distribution

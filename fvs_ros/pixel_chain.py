@@ -1,0 +1,132 @@
+"""A serial chain before a webcam: the pixels of the points that it carries.
+
+The chain carries K points of its last link, in the camera's frame and up to scale. With
+(x, y) = (p_1, p_2) / p_3, a point p is seen at
+
+    (u, v) = f (1 + k1 (x^2 + y^2)) (x, y) + c.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fvs_ros.chain import SerialChain
+
+
+@dataclass(frozen=True)
+class Lens:
+    """What a webcam makes of a point before it.
+
+    Parameters
+    ----------
+    focal_px : float
+        Focal length f, px, positive.
+    centre_px : tuple of two floats
+        Principal point c, px.
+    k1 : float
+        First radial distortion coefficient.
+    late_s : float
+        How late the images are stamped, s: one stamped t shows the joints at t - late_s.
+    """
+
+    focal_px: float
+    centre_px: tuple[float, float]
+    k1: float = 0.0
+    late_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (all(map(math.isfinite, self.numbers)) and self.focal_px > 0.0):
+            raise ValueError(f"a lens is of {self.numbers.tolist()}")
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """f, c, k1, and how late, (5,)."""
+        return np.array([self.focal_px, *self.centre_px, self.k1, self.late_s])
+
+    @classmethod
+    def of_numbers(cls, numbers: np.ndarray) -> Lens:
+        """The inverse of ``numbers``."""
+        focal_px, u_px, v_px, k1, late_s = numbers.tolist()
+        return cls(focal_px, (u_px, v_px), k1, late_s)
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixels of points, and their derivatives.
+
+        Parameters
+        ----------
+        points : ndarray, shape (..., 3)
+            Points in the camera's frame; a ``ValueError`` if one is not before the camera.
+
+        Returns
+        -------
+        pixels : ndarray, shape (..., 2)
+            u and v, px.
+        by_point : ndarray, shape (..., 2, 3)
+            Derivatives by the point.
+        by_lens : ndarray, shape (..., 2, 4)
+            Derivatives by the logarithm of f, by c and by k1.
+        """
+        depth = points[..., 2:]
+        if not depth.min() > 0.0:
+            raise ValueError("a point is behind the camera")
+        ray = points[..., :2] / depth
+        square = np.sum(ray**2, axis=-1, keepdims=True)
+        factor = self.focal_px * (1.0 + self.k1 * square)
+        bent = 2.0 * self.focal_px * self.k1 * ray[..., :, None] * ray[..., None, :]
+        by_ray = factor[..., None] * np.eye(2) + bent
+        by_point = np.concatenate([by_ray, -by_ray @ ray[..., None]], axis=-1) / depth[..., None]
+        by_lens = np.empty((*ray.shape, 4))
+        by_lens[..., 0], by_lens[..., 3] = factor * ray, self.focal_px * square * ray
+        by_lens[..., 1:3] = np.eye(2)
+        return factor * ray + self.centre_px, by_point, by_lens
+
+
+@dataclass(frozen=True)
+class PixelChain:
+    """A chain that carries points, and the lens through which they are seen.
+
+    It answers as a :class:`~fvs_ros.chain.SerialChain` whose feature are the pixels, (m,), point by
+    point, u then v. Several cameras are as many of these: their scales differ.
+
+    Parameters
+    ----------
+    chain : SerialChain
+        In the camera's frame; it carries a point, and the ways from there to the others.
+    lens : Lens
+        Of the camera.
+    """
+
+    chain: SerialChain
+    lens: Lens
+
+    def position(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The pixels, (..., m), at joints, rad, (..., n)."""
+        pixels = self.lens.project(points_of(self.chain.position(joints_rad)))[0]
+        return pixels.reshape(*joints_rad.shape[:-1], -1)
+
+    def position_and_jacobian(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The pixels, (..., m), and their Jacobian, px/rad, (..., m, n), at joints, (..., n)."""
+        carried, slopes = self.chain.position_and_jacobian(joints_rad)
+        pixels, by_point, _ = self.lens.project(points_of(carried))
+        jacobian = by_point @ slopes_of_points(slopes)
+        *outer, joints = joints_rad.shape
+        return pixels.reshape(*outer, -1), jacobian.reshape(*outer, -1, joints)
+
+    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The Jacobian, px/rad, (..., m, n), at joints, rad, (..., n)."""
+        return self.position_and_jacobian(joints_rad)[1]
+
+
+def points_of(carried: np.ndarray) -> np.ndarray:
+    """Points, (..., K, 3), of what a chain carries, (..., 3 K)."""
+    points = carried.reshape(*carried.shape[:-1], -1, 3).copy()
+    points[..., 1:, :] += points[..., :1, :]
+    return points
+
+
+def slopes_of_points(slopes: np.ndarray) -> np.ndarray:
+    """Derivatives of the points, (..., K, 3, p), of those of what is carried, (..., 3 K, p)."""
+    return np.moveaxis(points_of(np.swapaxes(slopes, -1, -2)), -3, -1)

@@ -1,0 +1,122 @@
+"""A chain and the lens before it, from the pixels of points."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cases import each
+from recordings import relative_error, seen_from_anywhere
+
+from fvs_estimator_node.chain_fit import ChainFitError
+from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.joint_path import Path
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_estimator_node.pixel_fit import changed, fit_pixels, residuals
+from fvs_ros.chain import SerialChain
+from fvs_ros.pixel_chain import Lens, PixelChain
+
+LENS = Lens(560.0, (310.0, 255.0), -0.25, 0.06)
+NOISE_PX, RATE_HZ, REACH_RAD = 0.3, 30.0, 0.3
+#: Ways from the first point to the others, m.
+OTHERS_M = 0.08 * np.array([[1.0, 0.0, 0.5], [0.0, 1.0, -0.5], [-1.0, 0.6, 0.3]])
+
+
+def before_camera(chain, points=1):
+    """The chain with some points, and the camera."""
+    return PixelChain(
+        replace(chain, feature_m=np.append(chain.feature_m, OTHERS_M[: points - 1])), LENS
+    )
+
+
+def strange_arm(joints, rng):
+    """Axes anywhere within half a metre of a point that the camera sees."""
+    ball = np.array([0.1, -0.1, 1.5])
+    points = ball + 0.25 * rng.normal(size=(joints, 3))
+    return SerialChain(rng.normal(size=(joints, 3)), points, ball, np.zeros(joints))
+
+
+def recorded(model, seconds=60.0, noise_px=NOISE_PX, outliers=0.0, seed=0):
+    """What the camera records of random motion about the reference joints."""
+    reference, rng = model.chain.reference_rad, np.random.default_rng([seed, 5])
+    names = tuple(f"joint_{i + 1}" for i in range(len(reference)))
+    config = MotionConfig(joint_names=names, joint_range_rad=(REACH_RAD,))
+    motion, stamps = RandomMotion(reference, config, rng), np.arange(1.0, seconds, 1.0 / RATE_HZ)
+    z = model.position(motion.path(stamps - model.lens.late_s)[0])
+    z = z + noise_px * rng.normal(size=z.shape)
+    z += 30.0 * rng.normal(size=z.shape) * (rng.random((len(z), 1)) < outliers)
+    run = np.zeros(len(z))
+    return DataSet(stamps, motion.path(stamps)[0], z, run, feature="points")
+
+
+def box_of(model, count=100):
+    draws = np.random.default_rng(3).uniform(-1.0, 1.0, (count, len(model.chain.axes)))
+    return model.chain.reference_rad + REACH_RAD * draws
+
+
+def test_derivatives_are_exact():
+    model = before_camera(seen_from_anywhere(np.random.default_rng(1)), 3)
+    data = recorded(model, 5.0)
+    path = Path(data)
+    images, pixels = np.arange(5), data.z[path.indices].reshape(-1, 3, 2)
+    slopes = residuals(model, path, pixels, images)[1]
+    for column, step in enumerate(1e-6 * np.eye(slopes.shape[-1])):
+        forth, back = (
+            residuals(changed(model, way * step), path, pixels, images)[0] for way in (1.0, -1.0)
+        )
+        np.testing.assert_allclose(slopes[..., column], (forth - back) / 2e-6, rtol=1e-5, atol=1e-3)
+    joints = data.joints_rad[:5]
+    numeric = [
+        (model.position(joints + step) - model.position(joints - step)) / 2e-6
+        for step in 1e-6 * np.eye(6)
+    ]
+    np.testing.assert_allclose(
+        model.jacobian(joints), np.stack(numeric, axis=-1), rtol=1e-5, atol=1e-4
+    )
+
+
+@each(
+    "chain, points, outliers",
+    [
+        (seen_from_anywhere(np.random.default_rng(1)), 1, 0.0),
+        (seen_from_anywhere(np.random.default_rng(2)), 1, 0.05),
+        (strange_arm(7, np.random.default_rng(3)), 4, 0.0),
+        (strange_arm(5, np.random.default_rng(4)), 1, 0.0),
+    ],
+)
+def test_a_minute_tells_arm_and_lens(chain, points, outliers):
+    model = before_camera(chain, points)
+    fit = fit_pixels(recorded(model, outliers=outliers))
+    joints = box_of(model)
+    error = relative_error(fit.model.jacobian(joints), model.jacobian(joints))
+    assert np.median(error) < 0.003
+    assert np.median(error) < 3.0 * np.median(fit.jacobian_deviation(joints))
+    assert fit.model.lens.focal_px == pytest.approx(LENS.focal_px, rel=0.02)
+    off = np.abs(fit.model.lens.numbers - LENS.numbers) / fit.lens_deviation
+    assert off.max() < 4.0
+    assert fit.misfit == pytest.approx(1.0, abs=0.1)
+    assert fit.outliers == pytest.approx(outliers * fit.samples, abs=0.015 * fit.samples)
+
+
+def test_still_poses_will_do():
+    model = before_camera(seen_from_anywhere(np.random.default_rng(1)), 4)
+    joints = box_of(model, 28)
+    z = model.position(joints) + NOISE_PX * np.random.default_rng(2).normal(size=(28, 8))
+    k = np.arange(28.0)
+    fit = fit_pixels(DataSet(k, joints, z, k, feature="points", still=True))
+    others = box_of(model)
+    assert np.abs(fit.model.position(others) - model.position(others)).max() < 2.0
+    assert fit.model.lens.focal_px == pytest.approx(LENS.focal_px, rel=0.05)
+
+
+def test_what_tells_no_jacobian_is_refused_with_what_to_do():
+    model = before_camera(seen_from_anywhere(np.random.default_rng(1)))
+    data = recorded(model)
+    elsewhere = data.joints_rad[np.random.default_rng(0).permutation(len(data))]
+    for bad, words in (
+        (recorded(model, 4.0), "at least 100 images.* collect longer"),
+        (recorded(model, 6.0), "known to .* % only.* collect longer or in a wider box"),
+        (replace(data, z=np.ones_like(data.z)), "do not move"),
+        (replace(data, joints_rad=elsewhere), "no arm with these joints"),
+    ):
+        with pytest.raises(ChainFitError, match=words):
+            fit_pixels(bad)
