@@ -67,14 +67,12 @@ class ChainFitError(ValueError):
     """Data that no chain can be fitted to; the text says why."""
 
 
-@dataclass(frozen=True)
-class ChainFit:
-    """A fitted chain, and how far it can be trusted.
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """What every fit of a chain tells, and how far it can be trusted.
 
     Parameters
     ----------
-    chain : SerialChain
-        The chain.
     weights : ndarray, shape (m,)
         Lengths, m, of the numbers that it carries: residuals are of the weighted numbers.
     time_offset_s, time_offset_deviation_s : float
@@ -85,12 +83,53 @@ class ChainFit:
     noise_m : float
         Its noise part, which changes from one image to the next, m; NaN if the images are too far
         apart.
-    ray_noise_m, lateral_noise_m : float
-        Standard deviation of a position along the line of sight, and across it (each of two), m.
     outliers : int
         Images further than six standard deviations from the chain.
     samples : int
         Images used.
+    """
+
+    weights: np.ndarray
+    time_offset_s: float
+    time_offset_deviation_s: float
+    residual_m: float
+    noise_m: float
+    outliers: int
+    samples: int
+
+    @property
+    def misfit(self) -> float:
+        """Residual over noise: 1 for a serial chain; NaN if the images are too far apart."""
+        return self.residual_m / self.noise_m
+
+    @property
+    def is_chain(self) -> bool:
+        """Whether the feature moves as on a serial chain, to within the noise."""
+        noise_m = 0.0 if math.isnan(self.noise_m) else self.noise_m
+        unexplained_m2 = self.residual_m**2 - noise_m**2
+        return self.misfit <= _MISFIT_LIMIT or unexplained_m2 <= _UNEXPLAINED_LIMIT_M**2
+
+    @property
+    def offset_at_limit(self) -> bool:
+        """Whether the stamp offset is at the limit of the search."""
+        return abs(self.time_offset_s) > 0.99 * MAX_OFFSET_S
+
+    def figures(self) -> dict[str, float]:
+        """Key figures by name; NaN where unknown."""
+        names = ("misfit", "residual_m", "noise_m", "time_offset_s", "time_offset_deviation_s")
+        return {name: getattr(self, name) for name in (*names, "outliers", "samples")}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChainFit(Fit):
+    """A fitted chain of a rigid body.
+
+    Parameters
+    ----------
+    chain : SerialChain
+        The chain.
+    ray_noise_m, lateral_noise_m : float
+        Standard deviation of a position along the line of sight, and across it (each of two), m.
     lens : ndarray, shape (2,)
         Error of the lens, ``focal`` and ``radial`` of :meth:`~fvs_ros.kinds.Kind.through_lens`. If
         it is notable, the chain has it as well, and the figures above are those without it.
@@ -107,37 +146,32 @@ class ChainFit:
     """
 
     chain: SerialChain
-    weights: np.ndarray
-    time_offset_s: float
-    time_offset_deviation_s: float
-    residual_m: float
-    noise_m: float
     ray_noise_m: float
     lateral_noise_m: float
-    outliers: int
-    samples: int
     lens: np.ndarray
     lens_covariance: np.ndarray
     play_rad: np.ndarray
     covariance: np.ndarray
     unfitted: np.ndarray
 
-    @property
-    def misfit(self) -> float:
-        """Residual over noise: 1 for a serial chain; NaN if the images are too far apart."""
-        return self.residual_m / self.noise_m
+    def figures(self) -> dict[str, float]:
+        """Key figures by name; NaN where unknown."""
+        focal, radial = self.lens.tolist()
+        focal_deviation, radial_deviation = np.sqrt(np.diag(self.lens_covariance)).tolist()
+        return {
+            **super().figures(),
+            "ray_noise_m": self.ray_noise_m,
+            "lateral_noise_m": self.lateral_noise_m,
+            "focal_error": focal,
+            "radial_error": radial,
+            "focal_deviation": focal_deviation,
+            "radial_deviation": radial_deviation,
+        }
 
-    @property
-    def is_chain(self) -> bool:
-        """Whether the ball moves as on a serial chain, to within the noise."""
-        noise_m = 0.0 if math.isnan(self.noise_m) else self.noise_m
-        unexplained_m2 = self.residual_m**2 - noise_m**2
-        return self.misfit <= _MISFIT_LIMIT or unexplained_m2 <= _UNEXPLAINED_LIMIT_M**2
-
-    @property
-    def offset_at_limit(self) -> bool:
-        """Whether the stamp offset is at the limit of the search."""
-        return abs(self.time_offset_s) > 0.99 * MAX_OFFSET_S
+    def inliers(self, data: DataSet) -> np.ndarray:
+        """Which images are within the noise, bool (k,)."""
+        z = self.weights * data.z
+        return inliers(self.weights * self.chain.position(data.joints_rad) - z, z)
 
     def jacobian_deviation(self, joints_rad: np.ndarray) -> np.ndarray:
         """Relative standard deviation of the Jacobian at joints where data are.

@@ -19,6 +19,7 @@ from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 from fvs_ros.kinds import KINDS, Kind, KindConfig
 from fvs_ros.kinds.kind import FIXED, MOUNTS, ON_ARM
+from fvs_ros.pixel_chain import AnyChain, PixelChain, Webcam
 from fvs_ros.timeline import Sample
 from fvs_ros.vectors import check_arrays
 from fvs_ros.view import ViewConfig
@@ -177,7 +178,7 @@ class TrainedModel(_OfFeature):
         Error figures of the training, name to number.
     provenance : dict
         Where it comes from; anything that JSON can hold.
-    chain : SerialChain, optional
+    chain : SerialChain or PixelChain, optional
         The chain fitted to the same data, for the method ``poe``.
     feature : str
         As of the data set.
@@ -194,13 +195,13 @@ class TrainedModel(_OfFeature):
     joint_names: tuple[str, ...]
     errors: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    chain: SerialChain | None = None
+    chain: AnyChain | None = None
     _measured: ClassVar[str] = "z_samples"
 
     def __post_init__(self) -> None:
         n, m = self.model.weights.shape[:2]
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
-        joints = n if self.chain is None else len(self.chain.axes)
+        joints = n if self.chain is None else self.chain.joints
         if not len(self.joint_names) == n == joints:
             raise ValueError(
                 f"{len(self.joint_names)} joint names, networks of {n} and a chain of {joints} "
@@ -208,6 +209,8 @@ class TrainedModel(_OfFeature):
             )
         check_arrays(self, _MODEL, {"n": n})
         self._check_numbers()
+        if self.chain is not None and self.chain.numbers != self.kind.numbers:
+            raise ValueError(f"a chain of {self.chain.numbers} numbers is for no {self.kind.name}")
         learned = len(self.kind.learned)
         if m != learned:
             raise ValueError(f"networks of {m} numbers, expected {learned}")
@@ -261,6 +264,8 @@ def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
     fields = {**vars(trained), **vars(trained.model)}
     del fields["model"]
     chain = fields.pop("chain")
+    if isinstance(chain, PixelChain):
+        fields["webcam"], chain = chain.webcam.numbers, chain.chain
     if chain is not None:
         fields |= {stored: getattr(chain, name) for stored, name in _CHAIN.items()}
     _write(path, "fvs_rbf_model", fields)
@@ -305,13 +310,15 @@ def load_model(
 ) -> TrainedModel:
     """Read and check a model; parameters and errors are those of :func:`load_data_set`."""
     with _content(path, "fvs_rbf_model", joint_names) as content:
-        chain = None
+        chain: AnyChain | None = None
         if any(name in content for name in _CHAIN):
             content.setdefault("chain_lens", np.zeros(2))  # older files lack these
             content.setdefault("chain_play_rad", np.zeros(len(content.common["joint_names"])))
             numbers = {name: content[stored] for stored, name in _CHAIN.items()}
             on_arm = content.common["camera_mount"] == ON_ARM
-            chain = SerialChain(**numbers, on_arm=on_arm)
+            chain = arm = SerialChain(**numbers, on_arm=on_arm)
+            if "webcam" in content:
+                chain = PixelChain(arm, Webcam.of_numbers(content["webcam"]))
         trained = TrainedModel(
             RbfModel(*(content[name] for name in _NETWORKS)),
             **{name: content[name] for name in _MODEL},

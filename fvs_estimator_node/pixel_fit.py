@@ -12,26 +12,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
-from fvs_estimator_node.chain_fit import LEAST_PAIRS, ChainFitError
+from fvs_estimator_node.chain_fit import LEAST_PAIRS, ChainFitError, Fit
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path
 from fvs_ros.chain import SerialChain
 from fvs_ros.filter import OUTLIER
-from fvs_ros.pixel_chain import Lens, PixelChain, points_of, slopes_of_points
+from fvs_ros.pixel_chain import PixelChain, Webcam, points_of, slopes_of_points
 from fvs_ros.timeline import MAX_GAP_S
 
 #: Fewest images of a motion that are fitted, and images of the search for the right start.
 _LEAST_IMAGES, _SEARCH_IMAGES = 100, 200
 #: Random starts: at least, where the noise is unknown, and at most; and steps of each. One of four
-#: reaches the best optimum.
-_LEAST_STARTS, _MOST_STARTS, _STEPS = 30, 80, 60
+#: reaches the best optimum, and some another whose residuals are larger by 2 %: the best few go on.
+_LEAST_STARTS, _MOST_STARTS, _STEPS, _FEW = 30, 80, 60, 3
 #: Of the starts: distances of the axes from the first point, which is at 1; the spread of the log
 #: focal length; the least distance of a point from the camera.
 _NEAR, _FOCAL, _CLOSEST = 0.4, 0.2, 0.3
@@ -49,51 +49,52 @@ _LENS_PRIOR, _LATE_PRIOR_S, _PRIOR = (0.5, 0.2, 0.2), 0.1, 1.0
 #: Relative deviation of the Jacobian, median over the data, above which it is not known. (A fit of
 #: 7 s may be at another optimum, which its covariance does not know of.)
 _UNKNOWN = 0.01
+#: Names of the webcam's numbers that are told.
+WEBCAM_FIGURES = ("focal_px", "centre_u_px", "centre_v_px", "k1")
 #: Step of the derivatives of the Jacobian by the coordinates.
 _STEP = 1e-5
 
 
-@dataclass(frozen=True)
-class PixelFit:
-    """A fitted chain with its lens, and how far they can be trusted.
+@dataclass(frozen=True, kw_only=True)
+class PixelFit(Fit):
+    """A fitted chain with its lens; residual and noise are standard deviations of a coordinate.
 
     Parameters
     ----------
-    model : PixelChain
+    chain : PixelChain
         Chain and lens.
-    residual_px, noise_px : float
-        Standard deviations of a coordinate, px: of the images from the model, and of its noise
-        part, which changes from one image to the next; NaN if the images are too far apart.
-    outliers, samples : int
-        Images further than six standard deviations from the model, and all.
     covariance : ndarray, shape (4 n + 3 K + 5, 4 n + 3 K + 5)
         By the noise, of the coordinates of a :class:`~fvs_estimator_node.chain_chart.Chart` at the
         chain, then of log f, c, px, and k1; the delay, s, is the last.
     """
 
-    model: PixelChain
-    residual_px: float
-    noise_px: float
-    outliers: int
-    samples: int
+    chain: PixelChain
     covariance: np.ndarray
 
     @property
-    def misfit(self) -> float:
-        """Residual over noise: 1 for a serial chain; NaN if the images are too far apart."""
-        return self.residual_px / self.noise_px
-
-    @property
-    def lens_deviation(self) -> np.ndarray:
-        """Standard deviations of the lens' ``numbers``, (5,)."""
+    def webcam_deviation(self) -> np.ndarray:
+        """Standard deviations of the webcam's ``numbers``, (5,)."""
         deviation: np.ndarray = np.sqrt(np.diag(self.covariance)[-5:])
-        return deviation * [self.model.lens.focal_px, 1.0, 1.0, 1.0, 1.0]
+        return deviation * [self.chain.webcam.focal_px, 1.0, 1.0, 1.0, 1.0]
+
+    def figures(self) -> dict[str, float]:
+        """Key figures by name; NaN where unknown."""
+        found = zip(self.chain.webcam.numbers, self.webcam_deviation, strict=True)
+        figures = super().figures()
+        for name, (number, deviation) in zip(WEBCAM_FIGURES, found, strict=False):
+            figures |= {name: float(number), f"{name}_deviation": float(deviation)}
+        return figures
+
+    def inliers(self, data: DataSet) -> np.ndarray:
+        """Which images are within the noise, bool (k,)."""
+        off_px = (self.chain.position(data.joints_rad) - data.z).reshape(len(data), -1, 2)
+        return np.asarray(np.abs(off_px).max(axis=(1, 2)) <= OUTLIER * _deviation_px(off_px))
 
     def jacobian_deviation(self, joints_rad: np.ndarray) -> np.ndarray:
         """Relative deviation of the Jacobian by the noise, (k,), at joints, rad, (k, n)."""
-        jacobian = self.model.jacobian(joints_rad)
+        jacobian = self.chain.jacobian(joints_rad)
         steps = _STEP * np.eye(len(self.covariance))
-        changes = [changed(self.model, step).jacobian(joints_rad) - jacobian for step in steps]
+        changes = [changed(self.chain, step).jacobian(joints_rad) - jacobian for step in steps]
         slopes = np.stack(changes, axis=-1).reshape(len(joints_rad), -1, len(steps)) / _STEP
         variance = np.sum(slopes @ self.covariance * slopes, axis=(1, 2))
         return np.asarray(np.sqrt(variance) / np.linalg.norm(jacobian, axis=(1, 2)))
@@ -130,10 +131,11 @@ def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> 
         start = fitting.start()
         say("fitting")
         fit = fitting.finish(start)
-    if fit.residual_px > _ROUGH * fitting.spread_px:
+    if fit.residual_m > _ROUGH * fitting.spread_px * fitting.unit_m:
         raise ChainFitError(
-            f"no arm with these joints explains the pixels, which are {fit.residual_px:.1f} px off "
-            "it; check joint names and units, and that camera and points stayed fixed"
+            "no arm with these joints explains the pixels, which are "
+            f"{data.kind.length_text(fit.residual_m, 1)} off it; check joint names and units, and "
+            "that camera and points stayed fixed"
         )
     some = np.linspace(0, len(data) - 1, _SEARCH_IMAGES).astype(int)
     deviation = float(np.median(fit.jacobian_deviation(data.joints_rad[some])))
@@ -147,10 +149,10 @@ def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> 
 
 def changed(model: PixelChain, values: np.ndarray) -> PixelChain:
     """The model at coordinates, those of the covariance; zeros are the model itself."""
-    chain, lens = np.append(values[:-5], 0.0), model.lens
+    chain, lens = np.append(values[:-5], 0.0), model.webcam
     numbers = lens.numbers + [0.0, *values[-4:]]
     numbers[0] *= math.exp(values[-5])
-    return PixelChain(Chart(model.chain).chain(chain), Lens.of_numbers(numbers))
+    return PixelChain(Chart(model.chain).chain(chain), Webcam.of_numbers(numbers))
 
 
 def residuals(
@@ -161,10 +163,12 @@ def residuals(
     The latter are by the coordinates of :func:`changed`.
     """
     chart = Chart(model.chain)
-    joints, velocity = (of_all[images] for of_all in path.joints_and_velocities(model.lens.late_s))
+    joints, velocity = (
+        of_all[images] for of_all in path.joints_and_velocities(model.webcam.late_s)
+    )
     nothing = np.zeros((len(joints), model.chain.feature_m.size))
     carried, slopes = residuals_and_slopes(chart, np.zeros(chart.size), joints, velocity, nothing)
-    seen, by_point, by_lens = model.lens.project(points_of(carried))
+    seen, by_point, by_lens = model.webcam.project(points_of(carried))
     slopes = by_point @ slopes_of_points(slopes)
     columns = [slopes[..., :-1], by_lens, slopes[..., -1:]]
     return seen - pixels[images], np.concatenate(columns, axis=-1)
@@ -183,21 +187,23 @@ class _Fitting:
     """One fit to the pixels, (k, K, 2), of k images."""
 
     def __init__(self, data: DataSet) -> None:
-        self._path = Path(data)
+        self._path, self._weights = Path(data), data.kind.weights
+        #: Length that a pixel counts as, m.
+        self.unit_m = float(self._weights[0])
         self.pixels = data.z[self._path.indices].reshape(len(self._path.indices), -1, 2)
         self.spread_px = float(np.linalg.norm(data.z[:, :2].std(axis=0)))
-        self._middle, self._side = self.pixels.mean(axis=(0, 1)), float(data.z.max())
+        self._middle, self._side = self.pixels.mean(axis=(0, 1)), float(np.abs(data.z).max())
         self._all = np.arange(len(self.pixels))
         few = np.linspace(0, len(self.pixels) - 1, min(_SEARCH_IMAGES, len(self.pixels)))
         self._few = few.astype(int)
 
-    def start(self) -> PixelChain:
-        """The best of some random chains, each joint of which may be prismatic, too."""
+    def start(self) -> list[PixelChain]:
+        """The best few of some random chains, each joint of which may be prismatic, too."""
         rng = np.random.default_rng(0)
         optima: list[tuple[float, PixelChain]] = []
 
         def improve(model: PixelChain) -> bool:
-            """Whether the best optimum has been found twice and is as good as the noise allows."""
+            """Whether a few optima are as good as the best one, and that as the noise allows."""
             scale_px, noise_px = _ROUGH * self.spread_px, math.nan
             try:
                 for least_gain in _ENOUGH:  # beside a rough scale, the lens remains as guessed
@@ -207,10 +213,10 @@ class _Fitting:
                 return False
             optima.append((scale_px, model))
             optima.sort(key=itemgetter(0))
-            if len(optima) < (_LEAST_STARTS if math.isnan(noise_px) else 2):
+            if len(optima) < (_LEAST_STARTS if math.isnan(noise_px) else _FEW):
                 return False
-            (best_px, _), (second_px, _), *_ = optima
-            return second_px <= _SAME * best_px and not best_px > _MISFIT_LIMIT * noise_px
+            best_px, worst_px = optima[0][0], optima[_FEW - 1][0]
+            return worst_px <= _SAME * best_px and not best_px > _MISFIT_LIMIT * noise_px
 
         if not any(improve(self._random(rng)) for _ in range(_MOST_STARTS)) and optima:
             for joint in range(len(optima[0][1].chain.axes)):
@@ -225,7 +231,7 @@ class _Fitting:
                 improve(replace(best, chain=shifting))
         if not optima:
             raise ChainFitError("no chain has all points before the camera: are they pixels?")
-        return optima[0][1]
+        return [model for _, model in optima[:_FEW]]
 
     def _random(self, rng: np.random.Generator) -> PixelChain:
         """A chain anywhere about the points, which stay before a usual lens."""
@@ -238,31 +244,35 @@ class _Fitting:
         while True:
             chain = SerialChain(axes, rays[0] + near, carried, joints[central])
             if points_of(chain.position(joints))[..., 2].min() > _CLOSEST:
-                return PixelChain(chain, Lens(focal_px, tuple(self._middle.tolist())))
+                return PixelChain(chain, Webcam(focal_px, tuple(self._middle.tolist())))
             near, carried[3:] = 0.8 * near, 0.8 * carried[3:]
 
-    def finish(self, model: PixelChain) -> PixelFit:
-        """Fit all images, then without outliers."""
-        images = self._all
+    def finish(self, models: list[PixelChain]) -> PixelFit:
+        """Fit all images, then without outliers, by the best of some models."""
+        images, (scale_px, _) = self._all, self._deviations_px(models[0])
         for _ in range(2):
-            scale_px, _ = self._deviations_px(model)
-            optimum = self._descend(model, images, scale_px, _CONVERGED)
-            model = optimum.model
-            scale_px, noise_px = self._deviations_px(model)
-            off_px = np.abs(self._off_px(model)).max(axis=(1, 2))
+            optima = [self._descend(model, images, scale_px, _CONVERGED) for model in models]
+            optimum = min(optima, key=attrgetter("cost"))
+            models = [optimum.model]
+            scale_px, noise_px = self._deviations_px(optimum.model)
+            off_px = np.abs(self._off_px(optimum.model)).max(axis=(1, 2))
             images = np.flatnonzero(off_px <= OUTLIER * scale_px)
+        model, covariance = optimum.model, np.linalg.inv(optimum.hessian)
         return PixelFit(
-            model=model,
-            residual_px=scale_px,
-            noise_px=noise_px,
+            chain=model,
+            weights=self._weights,
+            time_offset_s=model.webcam.late_s,
+            time_offset_deviation_s=float(covariance[-1, -1] ** 0.5),
+            residual_m=self.unit_m * scale_px,
+            noise_m=self.unit_m * noise_px,
             outliers=len(off_px) - len(images),
             samples=len(off_px),
-            covariance=np.linalg.inv(optimum.hessian),
+            covariance=covariance,
         )
 
     def _off_px(self, model: PixelChain) -> np.ndarray:
         """Model minus pixels, px, (k, K, 2)."""
-        joints = self._path.joints_and_velocities(model.lens.late_s)[0]
+        joints = self._path.joints_and_velocities(model.webcam.late_s)[0]
         return model.position(joints).reshape(self.pixels.shape) - self.pixels
 
     def _deviations_px(self, model: PixelChain) -> tuple[float, float]:
@@ -299,7 +309,7 @@ class _Fitting:
 
     def _optimum(self, model: PixelChain, images: np.ndarray, scale_px: float) -> _Optimum:
         """A model with its cost, in which pixels that are far off count less."""
-        lens = model.lens
+        lens = model.webcam
         if abs(lens.late_s) > MAX_OFFSET_S:
             raise ValueError(f"images are stamped late by {lens.late_s:g} s")
         residual, slopes = residuals(model, self._path, self.pixels, images)

@@ -11,6 +11,7 @@ from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
 from fvs_estimator_node.files import TrainedModel
 from fvs_estimator_node.on_arm import OnArmPoeEstimator
 from fvs_estimator_node.online import LkfEstimator, RlsEstimator, UkfEstimator
+from fvs_estimator_node.pixels import PixelPoeEstimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator
 from fvs_ros.joints import JOINT_PARAMETERS
 from fvs_ros.kinds import Kind, KindConfig
@@ -25,8 +26,9 @@ ESTIMATORS: dict[str, type[Any]] = {
     "ukf": UkfEstimator,
     "rls": RlsEstimator,
 }
-#: In place of those, with the camera on the arm.
+#: In place of those, with the camera on the arm, and for what is no rigid body.
 _ON_ARM: dict[str, type[Any]] = {"poe": OnArmPoeEstimator}
+_NOT_RIGID: dict[str, type[Any]] = {"poe": PixelPoeEstimator}
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,9 @@ def create_estimator(
         known = ", ".join(sorted(ESTIMATORS))
         raise ValueError(f"unknown estimator method {method!r}; known are {known}")
     made_by = ESTIMATORS[method]
-    if kind is not None and kind.on_arm:
-        made_by = _ON_ARM.get(method, made_by)
+    if kind is not None:
+        instead = _ON_ARM if kind.on_arm else {} if kind.rigid else _NOT_RIGID
+        made_by = instead.get(method, made_by)
     config = made_by.config_type.from_values(values or {}, f"{made_by.group}.")
     part, source = made_by.needs(config), None
     if part:

@@ -15,12 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.chain_fit import ChainFit, fit_chain, inliers
+from fvs_estimator_node.chain_fit import ChainFit, fit_chain
 from fvs_estimator_node.files import DataSet, TrainedModel, range_of
 from fvs_estimator_node.joint_path import MAX_OFFSET_S, STILL_RAD, behind_play
 from fvs_estimator_node.pairs import Pairs, Progress, TrainingError, ridge_weights
+from fvs_estimator_node.pixel_fit import WEBCAM_FIGURES, PixelFit, fit_pixels
 from fvs_estimator_node.rbf import RbfModel, rbf_features
-from fvs_ros.chain import SerialChain
+from fvs_ros.kinds import Kind
+from fvs_ros.pixel_chain import AnyChain, PixelChain
 
 #: Each method with its usual number of neurons, which cost little where samples are free.
 METHODS = {"varpro": 50, "ridge": 50, "poe": 100}
@@ -34,6 +36,8 @@ _WIDTH_FACTOR, _BEYOND = 4.0, 1.1
 #: networks miss.
 _NOTABLE_DEVIATION, _NOTABLE_NOISE_M = 0.01, 0.01
 _NOTABLE_OFFSET_S, _NOTABLE_ERROR = 0.003, 0.15
+
+AnyFit = ChainFit | PixelFit
 
 
 @dataclass(frozen=True)
@@ -110,11 +114,11 @@ def train(
     faults: list[str] = []
     if fit is not None:
         judged_rad = _within(trained_on["joint_box_rad"], rng, _JUDGED)
-        errors = {**_figures(fit, model, judged_rad), **errors}
-        faults = _chain_faults(fit, errors["jacobian_deviation"], data.kind.what)
+        errors = {**_figures(fit, model, judged_rad, data.kind.learned), **errors}
+        faults = _chain_faults(fit, errors["jacobian_deviation"], data.kind)
         why = faults[0] if faults and not poe else ""
     notes = _notes(data, errors, faults if poe else [])
-    if fit is not None and fit.chain.lens.any():
+    if isinstance(fit, ChainFit) and fit.chain.lens.any():
         notes.append(
             f"{lens_text(errors)}: calibrate the camera; with the method poe, targets in the frame "
             "of an object allow for it"
@@ -139,9 +143,11 @@ def train(
 
 def _fitted(
     data: DataSet, say: Callable[[str], None] | None, needed: bool
-) -> tuple[ChainFit | None, str]:
+) -> tuple[AnyFit | None, str]:
     """The chain's fit, or why there is none; a ``ValueError`` if one is needed."""
     try:
+        if not data.kind.rigid:
+            return fit_pixels(data, say), ""
         fit = fit_chain(data, say)
         carried = data.kind.nearest(fit.chain.feature_m)  # it was fitted number by number
         return replace(fit, chain=replace(fit.chain, feature_m=carried)), ""
@@ -153,7 +159,7 @@ def _fitted(
 
 def _networks(
     data: DataSet,
-    fit: ChainFit | None,
+    fit: AnyFit | None,
     options: TrainingOptions,
     rng: np.random.Generator,
     progress: Progress | None,
@@ -167,8 +173,7 @@ def _networks(
         say("training the networks")
     if pairs is None:
         assert fit is not None
-        z = weights * data.z
-        good = inliers(weights * fit.chain.position(data.joints_rad) - z, z)
+        good = fit.inliers(data)
         trained_on = range_of(data.joints_rad[good], data.z[good], rng)
         box_rad = trained_on["joint_box_rad"]
         return distil(fit.chain, box_rad, options.count, rng), trained_on, {}
@@ -180,7 +185,7 @@ def _networks(
 
 
 def distil(
-    chain: SerialChain, box_rad: np.ndarray, neurons: int, rng: np.random.Generator
+    chain: AnyChain, box_rad: np.ndarray, neurons: int, rng: np.random.Generator
 ) -> RbfModel:
     """Networks distilled from a chain in a box of joints, rad, shape (2, n)."""
     n = box_rad.shape[1]
@@ -198,9 +203,9 @@ def distil(
     return RbfModel(centres, widths, np.stack(weights))
 
 
-def learned(chain: SerialChain, joints_rad: np.ndarray) -> np.ndarray:
+def learned(chain: AnyChain, joints_rad: np.ndarray) -> np.ndarray:
     """What networks learn of a chain at joints, rad, (k, n): its Jacobian, or its twists."""
-    if not chain.on_arm:
+    if isinstance(chain, PixelChain) or not chain.on_arm:
         return chain.jacobian(joints_rad)
     twists = np.concatenate(chain.motion(joints_rad)[1:], axis=-1)
     return np.swapaxes(twists, -1, -2)
@@ -223,17 +228,13 @@ def _joints_at_exposures(data: DataSet, offset_s: float) -> np.ndarray:
 # ---- what a user should know ----------------------------------------------------------------
 
 
-def _figures(fit: ChainFit, model: RbfModel, joints_rad: np.ndarray) -> dict[str, Any]:
+def _figures(
+    fit: AnyFit, model: RbfModel, joints_rad: np.ndarray, unit: np.ndarray
+) -> dict[str, Any]:
     """Figures of a fit for the model file, without unknown ones (a model file holds no NaN)."""
-    weights = 1.0 if fit.chain.on_arm else fit.weights[:, None]
-    truth = weights * learned(fit.chain, joints_rad)
-    error = np.linalg.norm(weights * model.jacobian(joints_rad) - truth, axis=(1, 2))
-    names = ("misfit", "residual_m", "noise_m", "ray_noise_m", "lateral_noise_m", "time_offset_s")
-    counts = ("time_offset_deviation_s", "outliers", "samples")
-    figures = {name: getattr(fit, name) for name in (*names, *counts)}
-    deviations = np.sqrt(np.diag(fit.lens_covariance)).tolist()
-    figures["focal_error"], figures["radial_error"] = fit.lens.tolist()
-    figures["focal_deviation"], figures["radial_deviation"] = deviations
+    truth = unit[:, None] * learned(fit.chain, joints_rad)
+    error = np.linalg.norm(unit[:, None] * model.jacobian(joints_rad) - truth, axis=(1, 2))
+    figures = fit.figures()
     deviation = fit.jacobian_deviation(joints_rad[: _JUDGED // 10])
     figures["jacobian_deviation"] = float(np.median(deviation))
     figures["distillation_error"] = float(np.median(error / np.linalg.norm(truth, axis=(1, 2))))
@@ -242,6 +243,12 @@ def _figures(fit: ChainFit, model: RbfModel, joints_rad: np.ndarray) -> dict[str
 
 def lens_text(errors: Mapping[str, Any]) -> str:
     """What a model's figures say of the lens, in words."""
+    if "k1" in errors:  # of a webcam
+        focal, u, v, k1 = (
+            f"{errors[name]:.{digits}f} +- {errors[f'{name}_deviation']:.{digits}f}"
+            for name, digits in zip(WEBCAM_FIGURES, (0, 0, 0, 3), strict=True)
+        )
+        return f"focal length {focal} px, centre ({u}, {v}) px, k1 {k1}"
     focal, deviation = 100.0 * errors["focal_error"], 100.0 * errors["focal_deviation"]
     return (
         f"focal length {abs(focal):.1f} +- {deviation:.1f} % {'longer' if focal > 0 else 'shorter'}"
@@ -250,9 +257,13 @@ def lens_text(errors: Mapping[str, Any]) -> str:
     )
 
 
-def _chain_faults(fit: ChainFit, deviation: float, what: str) -> list[str]:
+def _chain_faults(fit: AnyFit, deviation: float, kind: Kind) -> list[str]:
     """Why a chain is not to be trusted, in words; the most important first."""
-    unknown, distance = math.isnan(fit.noise_m), f"{1e3 * fit.residual_m:.1f} mm"
+    unknown, distance, what = (
+        math.isnan(fit.noise_m),
+        kind.length_text(fit.residual_m, 1),
+        kind.what,
+    )
     faults = (
         f"the images seem to be stamped {1e3 * MAX_OFFSET_S:.0f} ms "
         f"{'late' if fit.time_offset_s > 0.0 else 'early'} or more: do not trust this fit; "
@@ -264,8 +275,8 @@ def _chain_faults(fit: ChainFit, deviation: float, what: str) -> list[str]:
         if unknown and not fit.is_chain
         else "",
         f"the {what} does not move on a rigid chain: images are {distance} distance, "
-        f"noise explains {1e3 * fit.noise_m:.1f} mm; check that nothing moved the camera or the "
-        f"{what} on its tool, check joint names and signs, or train with another method"
+        f"noise explains {kind.length_text(fit.noise_m, 1)}; check that nothing moved the camera "
+        f"or the {what} on its tool, check joint names and signs, or train with another method"
         if not unknown and not fit.is_chain
         else "",
         f"the Jacobian is known to {100.0 * deviation:.1f} % only; collect longer or in a "
@@ -291,8 +302,8 @@ def _notes(data: DataSet, errors: dict[str, Any], faults: list[str]) -> list[str
     clocks = "" if offset_s > 0.0 else " (if more than half an image's time: set the clocks, NTP)"
     outliers, samples, what = errors["outliers"], errors["samples"], data.kind.what
     notes = (
-        f"{what} positions scatter by {1e3 * noise_m:.0f} mm (median); check depth, lighting and "
-        f"that nothing else is taken for the {what}"
+        f"{what} positions scatter by {data.kind.length_text(noise_m)} (median); check depth, "
+        f"lighting and that nothing else is taken for the {what}"
         if noise_m > _NOTABLE_NOISE_M
         else "",
         f"the images show the joints of {late}; corrected here, but the loop needs it, too: add "

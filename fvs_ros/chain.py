@@ -160,6 +160,16 @@ class SerialChain:
         value.setflags(write=False)
         object.__setattr__(self, name, value)
 
+    @property
+    def joints(self) -> int:
+        """Count of joints, n."""
+        return len(self.axes)
+
+    @property
+    def numbers(self) -> int:
+        """Count of numbers of the feature, m."""
+        return len(self.feature_m)
+
     def _transforms(self, joints_rad: np.ndarray) -> np.ndarray:
         """The motions E_i, transposed, shape (..., n, 4, 4), at joints, rad, shape (..., n)."""
         angle = (np.asarray(joints_rad, dtype=float) - self.reference_rad)[..., None, None]

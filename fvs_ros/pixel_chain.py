@@ -17,7 +17,7 @@ from fvs_ros.chain import SerialChain
 
 
 @dataclass(frozen=True)
-class Lens:
+class Webcam:
     """What a webcam makes of a point before it.
 
     Parameters
@@ -47,7 +47,7 @@ class Lens:
         return np.array([self.focal_px, *self.centre_px, self.k1, self.late_s])
 
     @classmethod
-    def of_numbers(cls, numbers: np.ndarray) -> Lens:
+    def of_numbers(cls, numbers: np.ndarray) -> Webcam:
         """The inverse of ``numbers``."""
         focal_px, u_px, v_px, k1, late_s = numbers.tolist()
         return cls(focal_px, (u_px, v_px), k1, late_s)
@@ -95,22 +95,32 @@ class PixelChain:
     ----------
     chain : SerialChain
         In the camera's frame; it carries a point, and the ways from there to the others.
-    lens : Lens
+    webcam : Webcam
         Of the camera.
     """
 
     chain: SerialChain
-    lens: Lens
+    webcam: Webcam
+
+    @property
+    def joints(self) -> int:
+        """Count of joints, n."""
+        return self.chain.joints
+
+    @property
+    def numbers(self) -> int:
+        """Count of numbers of the feature, m."""
+        return self.chain.numbers * 2 // 3
 
     def position(self, joints_rad: np.ndarray) -> np.ndarray:
         """The pixels, (..., m), at joints, rad, (..., n)."""
-        pixels = self.lens.project(points_of(self.chain.position(joints_rad)))[0]
+        pixels = self.webcam.project(points_of(self.chain.position(joints_rad)))[0]
         return pixels.reshape(*joints_rad.shape[:-1], -1)
 
     def position_and_jacobian(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The pixels, (..., m), and their Jacobian, px/rad, (..., m, n), at joints, (..., n)."""
         carried, slopes = self.chain.position_and_jacobian(joints_rad)
-        pixels, by_point, _ = self.lens.project(points_of(carried))
+        pixels, by_point, _ = self.webcam.project(points_of(carried))
         jacobian = by_point @ slopes_of_points(slopes)
         *outer, joints = joints_rad.shape
         return pixels.reshape(*outer, -1), jacobian.reshape(*outer, -1, joints)
@@ -118,6 +128,9 @@ class PixelChain:
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """The Jacobian, px/rad, (..., m, n), at joints, rad, (..., n)."""
         return self.position_and_jacobian(joints_rad)[1]
+
+
+AnyChain = SerialChain | PixelChain
 
 
 def points_of(carried: np.ndarray) -> np.ndarray:

@@ -110,10 +110,10 @@ def check_output(path: Path) -> None:
 
 def report(trained: TrainedModel) -> str:
     """The printed summary: errors, chain fit, box."""
-    e, lines = trained.errors, [""]
+    e, lines, text = trained.errors, [""], trained.kind.length_text
     if "pair_error_m" in e:
         lines.append(
-            f"between held-out images: {trained.kind.length_text(e['pair_error_m'], 2)} rms, "
+            f"between held-out images: {text(e['pair_error_m'], 2)} rms, "
             f"{100.0 * e['pair_error_relative']:.2f} % of the motion, noise included"
         )
     if trained.chain is None:
@@ -121,7 +121,7 @@ def report(trained: TrainedModel) -> str:
     else:
         noise = "noise unknown: images too far apart"
         if "noise_m" in e:
-            noise = f"noise {1e3 * e['noise_m']:.2f} mm, misfit {e['misfit']:.2f}"
+            noise = f"noise {text(e['noise_m'], 2)}, misfit {e['misfit']:.2f}"
         lines += [
             f"Jacobian of the chain, in the box of the data: {100 * e['jacobian_deviation']:.3f} % "
             "(standard deviation; the camera's scale is not observable)",
@@ -130,10 +130,13 @@ def report(trained: TrainedModel) -> str:
             f"images stamped late: {round(1e3 * e['time_offset_s'], 1) + 0.0:.1f} +- "
             f"{1e3 * e['time_offset_deviation_s']:.1f} ms",
             f"lens: {lens_text(e)}",
-            f"noise of a position: {1e3 * e['ray_noise_m']:.2f} mm along the line of sight, "
-            f"{1e3 * e['lateral_noise_m']:.2f} mm across",
-            f"distance from the chain: {1e3 * e['residual_m']:.2f} mm (median); {noise}",
+            f"distance from the chain: {text(e['residual_m'], 2)} (median); {noise}",
         ]
+        if "ray_noise_m" in e:
+            lines.append(
+                f"noise of a position: {text(e['ray_noise_m'], 2)} along the line of sight, "
+                f"{text(e['lateral_noise_m'], 2)} across"
+            )
     low, high = (", ".join(f"{v:.2f}" for v in side) for side in trained.joint_box_rad)
     lines += [
         f"joints from [{low}]",

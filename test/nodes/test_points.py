@@ -111,16 +111,21 @@ def test_networks_of_a_minute_bring_the_points_to_their_targets_to_a_pixel(train
         np.testing.assert_allclose(seen(joints), target, atol=1.0)
 
 
-def test_a_file_tells_how_many_points_and_no_chain_is_made_of_them(data, trained, tmp_path):
+def test_a_file_tells_how_many_points_and_keeps_the_chain(data, trained, tmp_path):
     save_data_set(tmp_path / "d.npz", data)
     save_model(tmp_path / "m.npz", trained)
     assert load_data_set(tmp_path / "d.npz", expected=KindConfig(feature="points")).kind == KIND
     three = KindConfig(feature="points", points=Points(3))
     with pytest.raises(FileError, match=r"points \(8 numbers\), expected points \(6 numbers\)"):
         load_model(tmp_path / "m.npz", expected=three)
-    assert "no rigid body" in trained.provenance["no_chain"]
-    with pytest.raises(ValueError, match="no rigid body"):
-        train(data, TrainingOptions("poe"))
+    loaded = load_model(tmp_path / "m.npz", expected=KindConfig(feature="points"))
+    joints = ur5_dh.HOME_RAD
+    kept = loaded.chain.jacobian(joints), trained.chain.jacobian(joints)
+    np.testing.assert_allclose(*kept, atol=1e-9)
+    of_chain = create_estimator("poe", load=lambda: loaded, kind=KIND).jacobian(joints)
+    step = 1e-5 * np.eye(6)
+    slopes = np.stack([seen(joints + one) - seen(joints - one) for one in step], axis=-1) / 2e-5
+    np.testing.assert_allclose(of_chain / KIND.unit[:, None], slopes, atol=0.003 * slopes.max())
     with pytest.raises(ValueError, match="does not turn with the camera"):
         create_estimator("rbf_left", load=lambda: trained, kind=KIND)
     with pytest.raises(ValueError, match="even count"):
@@ -169,12 +174,13 @@ def polygon(z, stamp_s=0.0):
     return message
 
 
-def test_the_nodes_bring_the_points_of_anybodys_tracker_to_a_target(ros_test, trained):
+@pytest.mark.parametrize("method", ["rbf", "poe"])
+def test_the_nodes_bring_the_points_of_anybodys_tracker_to_a_target(ros_test, trained, method):
     model = ros_test.folder / "model.npz"
     save_model(model, trained)
     robot, status = Robot(ros_test), Statuses(ros_test, topics.CONTROLLER)
     common = {"feature": "points", "points": 4}
-    ros_test.start_node("fvs_estimator_node.node", model_path=model, **common)
+    ros_test.start_node("fvs_estimator_node.node", model_path=model, method=method, **common)
     ros_test.start_node("fvs_controller_node.node", **common)
     targets = ros_test.publisher(PolygonStamped, "target_points", ros.QOS_LATCHED)
 

@@ -13,9 +13,9 @@ from fvs_estimator_node.joint_path import Path
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.pixel_fit import changed, fit_pixels, residuals
 from fvs_ros.chain import SerialChain
-from fvs_ros.pixel_chain import Lens, PixelChain
+from fvs_ros.pixel_chain import PixelChain, Webcam
 
-LENS = Lens(560.0, (310.0, 255.0), -0.25, 0.06)
+LENS = Webcam(560.0, (310.0, 255.0), -0.25, 0.06)
 NOISE_PX, RATE_HZ, REACH_RAD = 0.3, 30.0, 0.3
 #: Ways from the first point to the others, m.
 OTHERS_M = 0.08 * np.array([[1.0, 0.0, 0.5], [0.0, 1.0, -0.5], [-1.0, 0.6, 0.3]])
@@ -41,7 +41,7 @@ def recorded(model, seconds=60.0, noise_px=NOISE_PX, outliers=0.0, seed=0):
     names = tuple(f"joint_{i + 1}" for i in range(len(reference)))
     config = MotionConfig(joint_names=names, joint_range_rad=(REACH_RAD,))
     motion, stamps = RandomMotion(reference, config, rng), np.arange(1.0, seconds, 1.0 / RATE_HZ)
-    z = model.position(motion.path(stamps - model.lens.late_s)[0])
+    z = model.position(motion.path(stamps - model.webcam.late_s)[0])
     z = z + noise_px * rng.normal(size=z.shape)
     z += 30.0 * rng.normal(size=z.shape) * (rng.random((len(z), 1)) < outliers)
     run = np.zeros(len(z))
@@ -87,11 +87,11 @@ def test_a_minute_tells_arm_and_lens(chain, points, outliers):
     model = before_camera(chain, points)
     fit = fit_pixels(recorded(model, outliers=outliers))
     joints = box_of(model)
-    error = relative_error(fit.model.jacobian(joints), model.jacobian(joints))
+    error = relative_error(fit.chain.jacobian(joints), model.jacobian(joints))
     assert np.median(error) < 0.003
     assert np.median(error) < 3.0 * np.median(fit.jacobian_deviation(joints))
-    assert fit.model.lens.focal_px == pytest.approx(LENS.focal_px, rel=0.02)
-    off = np.abs(fit.model.lens.numbers - LENS.numbers) / fit.lens_deviation
+    assert fit.chain.webcam.focal_px == pytest.approx(LENS.focal_px, rel=0.02)
+    off = np.abs(fit.chain.webcam.numbers - LENS.numbers) / fit.webcam_deviation
     assert off.max() < 4.0
     assert fit.misfit == pytest.approx(1.0, abs=0.1)
     assert fit.outliers == pytest.approx(outliers * fit.samples, abs=0.015 * fit.samples)
@@ -104,8 +104,8 @@ def test_still_poses_will_do():
     k = np.arange(28.0)
     fit = fit_pixels(DataSet(k, joints, z, k, feature="points", still=True))
     others = box_of(model)
-    assert np.abs(fit.model.position(others) - model.position(others)).max() < 2.0
-    assert fit.model.lens.focal_px == pytest.approx(LENS.focal_px, rel=0.05)
+    assert np.abs(fit.chain.position(others) - model.position(others)).max() < 2.0
+    assert fit.chain.webcam.focal_px == pytest.approx(LENS.focal_px, rel=0.05)
 
 
 def test_what_tells_no_jacobian_is_refused_with_what_to_do():
