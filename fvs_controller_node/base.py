@@ -10,10 +10,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from fvs_controller_node.redundancy import make_inverse
-from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.params import Parameters
+from fvs_ros.pixel_chain import AnyChain
 
 
 class Change(Enum):
@@ -40,7 +40,7 @@ class ControlInput(NamedTuple):
     #: Joints at the last start, (n,): the posture that redundancy resolution returns to.
     home_rad: np.ndarray | None = None
     #: Forward model of arm and feature as the camera sees them; up to a constant offset.
-    chain: SerialChain | None = None
+    chain: AnyChain | None = None
     #: What has changed ``error_m``.
     change: Change = Change.NOTHING
     #: Joint velocities that follow a moving target, (n,): added to the law's output.

@@ -21,11 +21,11 @@ from fvs_controller_node.references import Reference
 from fvs_controller_node.relation import OBJECT_FRAME, Lens, Relation, Teacher
 from fvs_controller_node.supervisor import Command, Present, Supervisor, checked
 from fvs_controller_node.target_motion import TargetMotion, on_own_clock
-from fvs_ros.chain import SerialChain
 from fvs_ros.filter import Image
 from fvs_ros.following import LONGEST_LAG_S, Following
 from fvs_ros.interface import POSITION, Backlash
 from fvs_ros.limits import tick_s
+from fvs_ros.pixel_chain import AnyChain
 from fvs_ros.timeline import repeats
 from fvs_ros.track import Track
 from fvs_ros.vectors import largest, length
@@ -77,7 +77,7 @@ class ServoLoop:
         self._drift, self._drift_run = TargetMotion(self.kind), -1  # of what moves by itself
         self._drift_m_s: np.ndarray | None = None  # its velocity now, (d,); None at rest
         self.configure(values)
-        self._chain: SerialChain | None = None
+        self._chain: AnyChain | None = None
         self._chain_s = -inf
         self._stamp_s = 0.0  # of the newest joint state
         self._image_s: float | None = None  # stamp of the newest image
@@ -129,7 +129,7 @@ class ServoLoop:
         joints = self._backlash.joints(joints, self._play_rad)
         self._joints = self._drive_lag.add(stamp_s, velocity, joints, compare)
         if self._chain is not None:
-            self._jacobian = self.kind.moved_by(*self._chain.motion(self._joints))
+            self._jacobian = self.kind.along(self._chain, self._joints)[1]
         # Images are judged one joint state later: no tick has all of an image's work.
         for image in self._unjudged:
             if not self._object_moves:  # else an image that stands may be that of a moving object
@@ -243,7 +243,7 @@ class ServoLoop:
         if inputs.add(JACOBIAN, now_s, jacobian) and now_s - self._chain_s > max_age_s:
             self._chain, self._jacobian = None, np.array(jacobian, dtype=float)
 
-    def add_chain(self, now_s: float, chain: SerialChain) -> None:
+    def add_chain(self, now_s: float, chain: AnyChain) -> None:
         """Take the arm as the camera sees it now, and its arrival; it gives the Jacobian.
 
         The Jacobian that comes with it counts as the message.

@@ -124,5 +124,5 @@ def _missing(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a goal misses of the wanted feature, m, (d,), and the Jacobian there, (d, n)."""
     assert state.chain is not None
-    z, angular, linear_m = state.chain.motion(goal_rad)
-    return -state.kind.minus(z, wanted), state.kind.moved_by(z, angular, linear_m)
+    z, jacobian = state.kind.along(state.chain, goal_rad)
+    return -state.kind.minus(z, wanted), jacobian

@@ -174,7 +174,8 @@ class Supervisor:
         jacobian = present.jacobian
         self.goal.see(present.z, dt_s, self.last.state is State.SERVOING)
         if jacobian is not None and jacobian is not before.jacobian:
-            self._smallest_m_rad = float(singular_values(jacobian)[-1])
+            values = singular_values(jacobian)[: self.config.kind.freedom]
+            self._smallest_m_rad = float(values[-1])
         finding = self._objection(now_s)
         if finding is not None:
             return finding

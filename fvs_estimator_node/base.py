@@ -8,11 +8,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fvs_ros.chain import SerialChain
 from fvs_ros.filter import Image
 from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.params import Parameters
+from fvs_ros.pixel_chain import AnyChain
 
 #: What an estimator is made from: a part of a :class:`~fvs_estimator_node.files.TrainedModel`.
 NETWORKS, CHAIN = "model", "chain"
@@ -88,7 +88,7 @@ class Estimator(ABC):
         return ""
 
     @property
-    def chain(self) -> SerialChain | None:
+    def chain(self) -> AnyChain | None:
         """The serial chain as the camera sees it now; None from an estimator that has none."""
         return None
 

@@ -184,7 +184,7 @@ class PoeEstimator(_BehindCamera):
 
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
         """Estimate at joints, rad, (n,): m/rad, shape (d, n)."""
-        return self._rotated(self.kind.moved_by(*self._fitted.motion(joints_rad)))
+        return self._rotated(self.kind.along(self._fitted, joints_rad)[1])
 
     def observe(self, image: Image, noise_m: float) -> None:
         """Learn the camera's pose from where the feature is."""

@@ -205,12 +205,9 @@ class _Fitting:
         def improve(model: PixelChain) -> bool:
             """Whether a few optima are as good as the best one, and that as the noise allows."""
             scale_px, noise_px = _ROUGH * self.spread_px, math.nan
-            try:
-                for least_gain in _ENOUGH:  # beside a rough scale, the lens remains as guessed
-                    model = self._descend(model, self._few, scale_px, least_gain).model
-                    scale_px, noise_px = self._deviations_px(model)
-            except ValueError:  # a point of other images is behind the camera
-                return False
+            for least_gain in _ENOUGH:  # beside a rough scale, the lens remains as guessed
+                model = self._descend(model, self._few, scale_px, least_gain).model
+                scale_px, noise_px = self._deviations_px(model)
             optima.append((scale_px, model))
             optima.sort(key=itemgetter(0))
             if len(optima) < (_LEAST_STARTS if math.isnan(noise_px) else _FEW):
@@ -218,7 +215,7 @@ class _Fitting:
             best_px, worst_px = optima[0][0], optima[_FEW - 1][0]
             return worst_px <= _SAME * best_px and not best_px > _MISFIT_LIMIT * noise_px
 
-        if not any(improve(self._random(rng)) for _ in range(_MOST_STARTS)) and optima:
+        if not any(improve(self._random(rng)) for _ in range(_MOST_STARTS)):
             for joint in range(len(optima[0][1].chain.axes)):
                 best = optima[0][1]
                 chain, is_joint = best.chain, np.arange(len(best.chain.axes)) == joint
@@ -229,8 +226,6 @@ class _Fitting:
                     prismatic=np.where(is_joint, 1.0, chain.prismatic),
                 )
                 improve(replace(best, chain=shifting))
-        if not optima:
-            raise ChainFitError("no chain has all points before the camera: are they pixels?")
         return [model for _, model in optima[:_FEW]]
 
     def _random(self, rng: np.random.Generator) -> PixelChain:

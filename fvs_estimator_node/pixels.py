@@ -21,6 +21,11 @@ class PixelPoeEstimator(Estimator):
         super().__init__(kind)
         self._chain = chain
 
+    @property
+    def chain(self) -> PixelChain:
+        """The chain as it was fitted."""
+        return self._chain
+
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
         """Estimate at joints, rad, (n,): m/rad, shape (d, n)."""
-        return np.asarray(self.kind.unit[:, None] * self._chain.jacobian(joints_rad))
+        return self.kind.along(self._chain, joints_rad)[1]

@@ -10,10 +10,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from fvs_ros.chain import SerialChain
+
+#: Least distance along the line of sight, in units of a chain whose points are about 1 away.
+_CLOSEST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Webcam:
         Parameters
         ----------
         points : ndarray, shape (..., 3)
-            Points in the camera's frame; a ``ValueError`` if one is not before the camera.
+            Points in the camera's frame; one that is not before it is far out of the picture.
 
         Returns
         -------
@@ -69,9 +73,7 @@ class Webcam:
         by_lens : ndarray, shape (..., 2, 4)
             Derivatives by the logarithm of f, by c and by k1.
         """
-        depth = points[..., 2:]
-        if not depth.min() > 0.0:
-            raise ValueError("a point is behind the camera")
+        depth = np.maximum(points[..., 2:], _CLOSEST)
         ray = points[..., :2] / depth
         square = np.sum(ray**2, axis=-1, keepdims=True)
         factor = self.focal_px * (1.0 + self.k1 * square)
@@ -101,6 +103,13 @@ class PixelChain:
 
     chain: SerialChain
     webcam: Webcam
+    #: As of a serial chain: its camera is as good as declared.
+    lens: ClassVar[np.ndarray] = np.zeros(2)
+
+    @property
+    def play_rad(self) -> np.ndarray:
+        """Play of each joint, rad (m), (n,)."""
+        return self.chain.play_rad
 
     @property
     def joints(self) -> int:

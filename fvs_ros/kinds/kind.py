@@ -121,6 +121,11 @@ class Kind(Parameters):
         """Count of components of a motion, d."""
         return len(self.axes)
 
+    @property
+    def freedom(self) -> int:
+        """Most components of a motion that an arm can move independently."""
+        return self.size
+
     # ---- messages: any object with the fields of the message's type --------------------------
 
     def checked(self, z: np.ndarray) -> np.ndarray:
@@ -194,6 +199,11 @@ class Kind(Parameters):
         """
         moved = linear_m + angular @ cross_matrix(z[..., :3])
         return np.asarray(np.swapaxes(moved, -1, -2))
+
+    def along(self, chain: Any, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The measurement, (m,), and its Jacobian, m/rad, (d, n), by a chain at joints, (n,)."""
+        z, angular, linear_m = chain.motion(joints_rad)
+        return z, self.moved_by(z, angular, linear_m)
 
     def to_tangent(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:
         """Tangent vectors, m, (d, ...), of motions of what is learned, (l, ...), at z."""

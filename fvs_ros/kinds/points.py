@@ -74,6 +74,16 @@ class Points(Kind):
         """The length of a pixel, m, (d,)."""
         return np.full(2 * self.points, self.pixel_m)
 
+    @property
+    def freedom(self) -> int:
+        """That of a rigid body, three at most of one point and five of two."""
+        return min(self.size, {1: 3, 2: 5}.get(self.points, 6))
+
+    def along(self, chain: Any, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The pixels, (m,), and their Jacobian, m/rad, (d, n), by a chain before a webcam."""
+        z, by_joint = chain.position_and_jacobian(joints_rad)
+        return z, self.unit[:, None] * by_joint
+
     def read(self, message: Any) -> np.ndarray:
         """Points of a ``PolygonStamped``, px, (m,)."""
         points = message.polygon.points

@@ -21,6 +21,7 @@ from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.kind import MOUNTS
+from fvs_ros.pixel_chain import AnyChain, PixelChain, Webcam
 from fvs_ros.topics import message_class
 from fvs_ros.vectors import all_finite
 
@@ -144,38 +145,45 @@ def from_jacobian(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -
     return _from_matrix(message, "jacobian", kind.size, joints) * kind.unit[:, None]
 
 
-def to_chain(chain: SerialChain) -> Float64MultiArray:
+def to_chain(chain: AnyChain) -> Float64MultiArray:
     """``Float64MultiArray`` of a chain of n joints, shape (n + m / 3, 9), row-major.
 
     A row for each joint: the direction of its axis, a point on it, m, the joint's reference
     position, rad (m), 1 if it is prismatic, and its play, rad (m). Then the rows of the feature,
-    the first with the two numbers of the lens, and 1 from a camera on the arm; and zeros.
+    the first with the two numbers of the lens, and 1 from a camera on the arm; and zeros. Before a
+    webcam, its numbers in a last row.
     """
-    joints, carried = len(chain.axes), chain.feature_m.reshape(-1, 3)
-    rows = np.zeros((joints + len(carried), _CHAIN_COLUMNS))
-    joint = np.column_stack([chain.reference_rad, chain.prismatic, chain.play_rad])
-    rows[:joints] = np.hstack([chain.axes, chain.points_m, joint])
-    rows[joints:, :3], rows[joints, 3:5] = carried, chain.lens
-    rows[joints, 5] = chain.on_arm
+    arm, webcam = (chain, None) if isinstance(chain, SerialChain) else (chain.chain, chain.webcam)
+    joints, carried = len(arm.axes), arm.feature_m.reshape(-1, 3)
+    rows = np.zeros((joints + len(carried) + (webcam is not None), _CHAIN_COLUMNS))
+    joint = np.column_stack([arm.reference_rad, arm.prismatic, arm.play_rad])
+    rows[:joints] = np.hstack([arm.axes, arm.points_m, joint])
+    after = joints + len(carried)
+    rows[joints:after, :3], rows[joints, 3:5] = carried, arm.lens
+    rows[joints, 5] = arm.on_arm
+    if webcam is not None:
+        rows[after, : len(webcam.numbers)] = webcam.numbers
     return _to_matrix(rows, "joint", "axis_point_reference")
 
 
-def from_chain(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> SerialChain:
+def from_chain(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> AnyChain:
     """Chain of a message as :func:`to_chain` makes it.
 
     A ``MessageError`` if it is none, or one of another ``camera_mount``.
     """
-    rows = joints + kind.numbers // 3
+    after = joints + kind.numbers // (3 if kind.rigid else 2)
+    rows = after if kind.rigid else after + 1
     matrix = _from_matrix(message, "kinematic_chain", rows, _CHAIN_COLUMNS)
-    joint, carried = matrix[:joints], kind.nearest(matrix[joints:, :3].ravel())
+    joint, carried = matrix[:joints], kind.nearest(matrix[joints:after, :3].ravel())
     try:
         reference_rad, prismatic, play_rad = joint[:, 6:].T
         lens, on_arm = matrix[joints, 3:5], bool(matrix[joints, 5])
         if on_arm != kind.on_arm:
             raise ValueError(f"camera_mount {MOUNTS[on_arm]}, expected {kind.camera_mount}")
-        return SerialChain(
+        arm = SerialChain(
             joint[:, :3], joint[:, 3:6], carried, reference_rad, prismatic, lens, on_arm, play_rad
         )
+        return arm if kind.rigid else PixelChain(arm, Webcam.of_numbers(matrix[after, :5]))
     except ValueError as error:
         raise MessageError(f"kinematic_chain cannot be used: {error}") from error
 

@@ -132,10 +132,12 @@ def test_a_file_tells_how_many_points_and_keeps_the_chain(data, trained, tmp_pat
         replace(data, z=data.z[:, 1:])
 
 
-def test_a_message_is_read_as_it_was_written_and_refused_if_it_has_other_points():
+def test_a_message_is_read_as_it_was_written_and_refused_if_it_has_other_points(trained):
     z = seen(ur5_dh.HOME_RAD)
     message = ros.to_feature(1.0, CAMERA_FRAME, KIND, z)
     np.testing.assert_allclose(KIND.read(message), z, atol=1e-3)
+    back = ros.from_chain(ros.to_chain(trained.chain), 6, KIND)
+    np.testing.assert_allclose(back.position(ur5_dh.HOME_RAD), z, atol=1.0)
     with pytest.raises(ValueError, match="has 4 points, expected 3"):
         Points(3).read(message)
     message.polygon.points[2].y = float("nan")
@@ -174,14 +176,14 @@ def polygon(z, stamp_s=0.0):
     return message
 
 
-@pytest.mark.parametrize("method", ["rbf", "poe"])
-def test_the_nodes_bring_the_points_of_anybodys_tracker_to_a_target(ros_test, trained, method):
+@pytest.mark.parametrize(("method", "law"), [("rbf", "ftsm"), ("poe", "minimum_time")])
+def test_the_nodes_bring_points_of_anybodys_tracker_to_a_target(ros_test, trained, method, law):
     model = ros_test.folder / "model.npz"
     save_model(model, trained)
     robot, status = Robot(ros_test), Statuses(ros_test, topics.CONTROLLER)
     common = {"feature": "points", "points": 4}
     ros_test.start_node("fvs_estimator_node.node", model_path=model, method=method, **common)
-    ros_test.start_node("fvs_controller_node.node", **common)
+    ros_test.start_node("fvs_controller_node.node", law=law, **common)
     targets = ros_test.publisher(PolygonStamped, "target_points", ros.QOS_LATCHED)
 
     def started():
