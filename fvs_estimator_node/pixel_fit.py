@@ -46,9 +46,9 @@ _ENOUGH, _CONVERGED = (1e-3, 1e-4), 1e-7
 #: Prior standard deviations of log f, k1, and c as a share of the longest side of the picture; of
 #: the delay, s; of the chain's coordinates, in distances of the first point and rad.
 _LENS_PRIOR, _LATE_PRIOR_S, _PRIOR = (0.5, 0.2, 0.2), 0.1, 1.0
-#: Relative deviation of the Jacobian, median over the data, above which it is not known. (A fit of
-#: 7 s may be at another optimum, which its covariance does not know of.)
-_UNKNOWN = 0.01
+#: Relative deviation of the Jacobian, median over the data, above which there is no model: fits of
+#: some seconds are often further off than they say.
+_UNKNOWN = 0.02
 #: Names of the webcam's numbers that are told.
 WEBCAM_FIGURES = ("focal_px", "centre_u_px", "centre_v_px", "k1")
 #: Step of the derivatives of the Jacobian by the coordinates.
@@ -115,8 +115,8 @@ def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> 
     ChainFitError
         If there is too little data, nothing fits, or the Jacobian is not known after the fit.
     """
-    say, fitting = progress or (lambda words: None), _Fitting(data)
-    images, least = len(fitting.pixels), _LEAST_IMAGES
+    say, path = progress or (lambda words: None), Path(data)
+    images, least = len(path.indices), _LEAST_IMAGES
     if data.still:
         least = math.ceil((4 * data.joints_rad.shape[1] + 5) / data.z.shape[1]) + 3
     if images < least:
@@ -124,6 +124,7 @@ def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> 
             f"a chain before a webcam needs at least {least} images in continuous runs, the data "
             f"set has {images}: collect longer, with all points in the picture"
         )
+    fitting = _Fitting(path, data)
     if fitting.spread_px < 1.0:
         raise ChainFitError("the points do not move in the data set, so there is no chain to find")
     with threadpool_limits(1):  # matrices of few columns
@@ -142,7 +143,7 @@ def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> 
     if not deviation <= _UNKNOWN:
         raise ChainFitError(
             f"the Jacobian is known to {100.0 * deviation:.1f} % only, at most "
-            f"{100.0 * _UNKNOWN:g} % is needed; collect longer or in a wider box"
+            f"{100.0 * _UNKNOWN:g} % is needed; collect longer or in a wider box, with all joints"
         )
     return fit
 
@@ -186,8 +187,8 @@ class _Optimum(NamedTuple):
 class _Fitting:
     """One fit to the pixels, (k, K, 2), of k images."""
 
-    def __init__(self, data: DataSet) -> None:
-        self._path, self._weights = Path(data), data.kind.weights
+    def __init__(self, path: Path, data: DataSet) -> None:
+        self._path, self._weights = path, data.kind.weights
         #: Length that a pixel counts as, m.
         self.unit_m = float(self._weights[0])
         self.pixels = data.z[self._path.indices].reshape(len(self._path.indices), -1, 2)
