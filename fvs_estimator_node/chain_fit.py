@@ -315,14 +315,8 @@ class _Fitting:
                 break
         optimum = min(optima, key=_cost)
         for joint in range(len(reference)):
-            slopes = (-1.0 if self._kind.on_arm else 1.0) * optimum.chain.jacobian(reference)[:3]
-            is_joint = np.arange(len(reference)) == joint
-            shifting = replace(
-                optimum.chain,
-                axes=np.where(is_joint[:, None], slopes.T, optimum.chain.axes),
-                prismatic=np.where(is_joint, 1.0, optimum.chain.prismatic),
-            )
-            optimum = min(optimum, self._from_afar(shifting, spread_m), key=_cost)
+            shifting = self._from_afar(with_slide(optimum.chain, joint), spread_m)
+            optimum = min(optimum, shifting, key=_cost)
         return optimum
 
     def _from_afar(self, chain: SerialChain, spread_m: float) -> _Optimum:
@@ -488,6 +482,14 @@ class _Fitting:
         wider = np.linalg.inv(known)
         covariance = np.linalg.inv(known[: chart.size, : chart.size])
         return -wider @ (rows.T @ missed), wider, covariance
+
+
+def with_slide(chain: SerialChain, joint: int) -> SerialChain:
+    """The chain with a prismatic joint that moves the point as before, at the reference joints."""
+    axes, prismatic = chain.axes.copy(), chain.prismatic.copy()
+    slope = chain.jacobian(chain.reference_rad)[:3, joint]
+    axes[joint], prismatic[joint] = -slope if chain.on_arm else slope, 1.0
+    return replace(chain, axes=axes, prismatic=prismatic)
 
 
 def noise_by_direction(residual_m: np.ndarray, feature_m: np.ndarray) -> tuple[float, float]:

@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
-from fvs_estimator_node.chain_fit import LEAST_PAIRS, ChainFitError, Fit
+from fvs_estimator_node.chain_fit import LEAST_PAIRS, ChainFitError, Fit, with_slide
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path
 from fvs_ros.chain import SerialChain
@@ -219,14 +219,7 @@ class _Fitting:
         if not any(improve(self._random(rng)) for _ in range(_MOST_STARTS)):
             for joint in range(len(optima[0][1].chain.axes)):
                 best = optima[0][1]
-                chain, is_joint = best.chain, np.arange(len(best.chain.axes)) == joint
-                slopes = chain.jacobian(chain.reference_rad)[:3]
-                shifting = replace(
-                    chain,
-                    axes=np.where(is_joint[:, None], slopes.T, chain.axes),
-                    prismatic=np.where(is_joint, 1.0, chain.prismatic),
-                )
-                improve(replace(best, chain=shifting))
+                improve(replace(best, chain=with_slide(best.chain, joint)))
         return [model for _, model in optima[:_FEW]]
 
     def _random(self, rng: np.random.Generator) -> PixelChain:
