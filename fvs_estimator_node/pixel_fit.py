@@ -1,8 +1,9 @@
 """Fits a chain and the lens before it to the pixels of points, from no guess of either.
 
 The unknowns are the 4 n + 3 K numbers of a chain of n joints that carries K points, the lens' focal
-length, centre and k1, and how late the images are stamped. They are found by robust non-linear
-least squares with exact derivatives, from random starts on some images; the best goes on to all.
+length, centre and k1, and how late a picture and each of its rows are exposed. They are found by
+robust non-linear least squares with exact derivatives, from random starts on some images; the best
+go on to all.
 
 The scale stays free: a pixel, and so the Jacobian, does not depend on it.
 """
@@ -44,8 +45,9 @@ _SAME, _MISFIT_LIMIT = 1.02, 1.15
 #: Least gain of a step, as a share of the cost: of the rough and the fine search, and of the fit.
 _ENOUGH, _CONVERGED = (1e-3, 1e-4), 1e-7
 #: Prior standard deviations of log f, k1, and c as a share of the longest side of the picture; of
-#: the delay, s; of the chain's coordinates, in distances of the first point and rad.
-_LENS_PRIOR, _LATE_PRIOR_S, _PRIOR = (0.5, 0.2, 0.2), 0.1, 1.0
+#: the delays of a picture and of a row, s; of the chain's coordinates, in distances of the first
+#: point and rad.
+_LENS_PRIOR, _TIME_PRIOR_S, _PRIOR = (0.5, 0.2, 0.2), (0.1, 1e-4), 1.0
 #: Relative deviation of the Jacobian, median over the data, above which there is no model: fits of
 #: some seconds are often further off than they say.
 _UNKNOWN = 0.02
@@ -63,9 +65,9 @@ class PixelFit(Fit):
     ----------
     chain : PixelChain
         Chain and lens.
-    covariance : ndarray, shape (4 n + 3 K + 5, 4 n + 3 K + 5)
+    covariance : ndarray, shape (4 n + 3 K + 6, 4 n + 3 K + 6)
         By the noise, of the coordinates of a :class:`~fvs_estimator_node.chain_chart.Chart` at the
-        chain, then of log f, c, px, and k1; the delay, s, is the last.
+        chain, then of log f, c, px, and k1; last ``late_s`` and ``line_s``.
     """
 
     chain: PixelChain
@@ -73,9 +75,9 @@ class PixelFit(Fit):
 
     @property
     def webcam_deviation(self) -> np.ndarray:
-        """Standard deviations of the webcam's ``numbers``, (5,)."""
-        deviation: np.ndarray = np.sqrt(np.diag(self.covariance)[-5:])
-        return deviation * [self.chain.webcam.focal_px, 1.0, 1.0, 1.0, 1.0]
+        """Standard deviations of the webcam's ``numbers``, (6,)."""
+        deviation: np.ndarray = np.sqrt(np.diag(self.covariance)[-6:])
+        return np.append(self.chain.webcam.focal_px * deviation[0], deviation[1:])
 
     def figures(self) -> dict[str, float]:
         """Key figures by name; NaN where unknown."""
@@ -118,7 +120,7 @@ def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> 
     say, path = progress or (lambda words: None), Path(data)
     images, least = len(path.indices), _LEAST_IMAGES
     if data.still:
-        least = math.ceil((4 * data.joints_rad.shape[1] + 5) / data.z.shape[1]) + 3
+        least = math.ceil((4 * data.joints_rad.shape[1] + 6) / data.z.shape[1]) + 3
     if images < least:
         raise ChainFitError(
             f"a chain before a webcam needs at least {least} images in continuous runs, the data "
@@ -150,9 +152,9 @@ def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> 
 
 def changed(model: PixelChain, values: np.ndarray) -> PixelChain:
     """The model at coordinates, those of the covariance; zeros are the model itself."""
-    chain, lens = np.append(values[:-5], 0.0), model.webcam
-    numbers = lens.numbers + [0.0, *values[-4:]]
-    numbers[0] *= math.exp(values[-5])
+    chain, numbers = np.append(values[:-6], 0.0), model.webcam.numbers
+    numbers[0] *= math.exp(values[-6])
+    numbers[1:] += values[-5:]
     return PixelChain(Chart(model.chain).chain(chain), Webcam.of_numbers(numbers))
 
 
@@ -171,8 +173,13 @@ def residuals(
     carried, slopes = residuals_and_slopes(chart, np.zeros(chart.size), joints, velocity, nothing)
     seen, by_point, by_lens = model.webcam.project(points_of(carried))
     slopes = by_point @ slopes_of_points(slopes)
-    columns = [slopes[..., :-1], by_lens, slopes[..., -1:]]
-    return seen - pixels[images], np.concatenate(columns, axis=-1)
+    # Points below the middle of those seen are exposed later, and have moved further. How little
+    # this changes the other derivatives does not count.
+    below_px = pixels[images, :, 1:] - pixels[..., 1].mean()
+    by_line = -slopes[..., -1] * below_px
+    columns = [slopes[..., :-1], by_lens, slopes[..., -1:], by_line[..., None]]
+    off_px = seen + model.webcam.line_s * by_line - pixels[images]
+    return off_px, np.concatenate(columns, axis=-1)
 
 
 class _Optimum(NamedTuple):
@@ -251,7 +258,7 @@ class _Fitting:
             chain=model,
             weights=self._weights,
             time_offset_s=model.webcam.late_s,
-            time_offset_deviation_s=float(covariance[-1, -1] ** 0.5),
+            time_offset_deviation_s=float(covariance[-2, -2] ** 0.5),
             residual_m=self.unit_m * scale_px,
             noise_m=self.unit_m * noise_px,
             outliers=len(off_px) - len(images),
@@ -261,8 +268,7 @@ class _Fitting:
 
     def _off_px(self, model: PixelChain) -> np.ndarray:
         """Model minus pixels, px, (k, K, 2)."""
-        joints = self._path.joints_and_velocities(model.webcam.late_s)[0]
-        return model.position(joints).reshape(self.pixels.shape) - self.pixels
+        return residuals(model, self._path, self.pixels, self._all)[0]
 
     def _deviations_px(self, model: PixelChain) -> tuple[float, float]:
         """Standard deviations of a coordinate, px, and of its noise; see :class:`PixelFit`."""
@@ -294,6 +300,8 @@ class _Fitting:
                     break
             else:
                 damping, growth = damping * growth, 2.0 * growth
+                if damping > 1e8:  # no step is short enough
+                    break
         return best
 
     def _optimum(self, model: PixelChain, images: np.ndarray, scale_px: float) -> _Optimum:
@@ -308,11 +316,11 @@ class _Fitting:
         missed = (residual / np.sqrt(root)).ravel()
         # The chain's coordinates begin at the model, so that their prior only holds them.
         held, deviation = np.zeros((2, rows.shape[1]))
-        held[-5:] = lens.numbers - [self._side, *self._middle, 0.0, 0.0]
-        held[-5] = math.log(lens.focal_px / self._side)
+        held[-6:] = lens.numbers - [self._side, *self._middle, 0.0, 0.0, 0.0]
+        held[-6] = math.log(lens.focal_px / self._side)
         focal, k1, centre = _LENS_PRIOR
-        deviation[:-5], deviation[-1] = _PRIOR, _LATE_PRIOR_S
-        deviation[-5:-1] = focal, centre * self._side, centre * self._side, k1
+        deviation[:-6], deviation[-2:] = _PRIOR, _TIME_PRIOR_S
+        deviation[-6:-2] = focal, centre * self._side, centre * self._side, k1
         cost = 8.0 * float(np.sum(root - 1.0)) + float(np.sum((held / deviation) ** 2))
         gradient = rows.T @ missed + held / deviation**2
         return _Optimum(model, cost, gradient, rows.T @ rows + np.diag(deviation**-2))

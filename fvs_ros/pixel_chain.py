@@ -34,12 +34,15 @@ class Webcam:
         First radial distortion coefficient.
     late_s : float
         How late the images are stamped, s: one stamped t shows the joints at t - late_s.
+    line_s : float
+        How much later each row is exposed than the one above it, s: a rolling shutter.
     """
 
     focal_px: float
     centre_px: tuple[float, float]
     k1: float = 0.0
     late_s: float = 0.0
+    line_s: float = 0.0
 
     def __post_init__(self) -> None:
         if not (all(map(math.isfinite, self.numbers)) and self.focal_px > 0.0):
@@ -47,14 +50,14 @@ class Webcam:
 
     @property
     def numbers(self) -> np.ndarray:
-        """f, c, k1, and how late, (5,)."""
-        return np.array([self.focal_px, *self.centre_px, self.k1, self.late_s])
+        """f, c, k1, late_s and line_s, (6,)."""
+        return np.array([self.focal_px, *self.centre_px, self.k1, self.late_s, self.line_s])
 
     @classmethod
     def of_numbers(cls, numbers: np.ndarray) -> Webcam:
         """The inverse of ``numbers``."""
-        focal_px, u_px, v_px, k1, late_s = numbers.tolist()
-        return cls(focal_px, (u_px, v_px), k1, late_s)
+        focal_px, u_px, v_px, *others = numbers.tolist()
+        return cls(focal_px, (u_px, v_px), *others)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pixels of points, and their derivatives.

@@ -183,7 +183,7 @@ def from_chain(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> A
         arm = SerialChain(
             joint[:, :3], joint[:, 3:6], carried, reference_rad, prismatic, lens, on_arm, play_rad
         )
-        return arm if kind.rigid else PixelChain(arm, Webcam.of_numbers(matrix[after, :5]))
+        return arm if kind.rigid else PixelChain(arm, Webcam.of_numbers(matrix[after, :6]))
     except ValueError as error:
         raise MessageError(f"kinematic_chain cannot be used: {error}") from error
 
