@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from fvs_ros.kinds import BodyConfig, Kind
+from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.params import parameter
 from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
 from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge, largest_part_m
 
 
 @dataclass(frozen=True)
-class DemoConfig(BodyConfig):
+class DemoConfig(KindConfig):
     """Parameters of ``fvs_demo_node``."""
 
     model_path: str = parameter(
@@ -93,19 +93,21 @@ def table(records: Sequence[TargetRecord]) -> str:
     def seconds(value: float | None) -> str:
         return "never" if value is None else f"{value:.2f} s"
 
-    scores = [record.score() for record in records]
+    scores, kind = [record.score() for record in records], records[0].kind
+    settled_text, fine_text = (f"to {kind.length_text(m)}" for m in (SETTLED_ERROR_M, FINE_ERROR_M))
     settled = sum(score.settling_5mm_s is not None for score in scores)
-    width = max([9, *(len(score.final) for score in scores)])
+    width = max([9, *(len(score.final(kind)) for score in scores)])
     lines = [
         f"{settled} of {len(records)} targets settled",
-        f"{'target':>6}  {'start':>8}  {f'to {SETTLED_ERROR_M * 1e3:g} mm':>9}  "
-        f"{f'to {FINE_ERROR_M * 1e3:g} mm':>9}  {'final rms':>{width}}  {'peak joint speed':>16}",
+        f"{'target':>6}  {'start':>8}  {settled_text:>9}  {fine_text:>9}  {'final rms':>{width}}  "
+        f"{'peak joint speed':>16}",
     ]
     for number, (score, record) in enumerate(zip(scores, records, strict=True), start=1):
+        final, speed = score.final(kind), f"{score.peak_joint_speed_rad_s:>10.2f} rad/s"
         row = (
-            f"{number:>6}  {score.start_distance_m * 1e3:>5.0f} mm  "
+            f"{number:>6}  {kind.length_text(score.start_distance_m):>8}  "
             f"{seconds(score.settling_5mm_s):>9}  {seconds(score.settling_2mm_s):>9}  "
-            f"{score.final:>{width}}  {score.peak_joint_speed_rad_s:>10.2f} rad/s  {record.note}"
+            f"{final:>{width}}  {speed}  {record.note}"
         )
         lines.append(row.rstrip())
     return "\n".join(lines)
@@ -124,19 +126,20 @@ def draw(path: Path, records: Sequence[TargetRecord], joint_names: Sequence[str]
 
     figure = Figure(figsize=(9.0, 6.2), layout="constrained")
     error, speed = figure.subplots(2, 1)
-    origin_s = records[0].start_s
+    origin_s, kind = records[0].start_s, records[0].kind
+    unit, unit_m = ("mm", 1e-3) if kind.rigid else ("px", float(kind.unit[0]))
     for number, record in enumerate(records, start=1):
         time_s, errors_m = record.errors_m()
-        larger_mm = 1e3 * largest_part_m(record.kind, errors_m)
-        error.semilogy(time_s, larger_mm, label=f"target {number}")
+        parts_m = largest_part_m(record.kind, errors_m)
+        error.semilogy(time_s, parts_m / unit_m, label=f"target {number}")
         speed.axvline(record.start_s - origin_s, color="0.6")
-    error.axhline(SETTLED_ERROR_M * 1e3, color="0.4", linestyle="--", linewidth=1)
+    error.axhline(SETTLED_ERROR_M / unit_m, color="0.4", linestyle="--", linewidth=1)
     moments = [(r.start_s - origin_s + t_s, speeds) for r in records for t_s, speeds in r.joints]
     if moments:
         speed.plot(*zip(*moments, strict=True), linewidth=1, label=list(joint_names))
         speed.legend(fontsize=8, ncols=2)
-    what = records[0].kind.what.capitalize()
-    error.set(ylabel="error (mm)", title=f"{what} to its target, largest part")
+    what = kind.what.capitalize()
+    error.set(ylabel=f"error ({unit})", title=f"{what} to its target, largest part")
     speed.set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
     error.legend(fontsize=8, ncols=2)
     for axes in (error, speed):

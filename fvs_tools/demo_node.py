@@ -164,8 +164,8 @@ class DemoNode(ros.FvsNode):
         text = "not settled" if settled_s is None else f"settled after {settled_s:.2f} s"
         print(
             f"target {number} of {self._config.targets}, "
-            f"{score.start_distance_m * 1e3:.0f} mm away: {text}, "
-            f"final true error {score.final}",
+            f"{self._kind.length_text(score.start_distance_m)} away: {text}, "
+            f"final true error {score.final(self._kind)}",
             flush=True,
         )
 

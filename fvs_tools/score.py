@@ -26,11 +26,10 @@ class TargetScore:
     peak_joint_speed_rad_s: float
     final_rms_deg: float | None = None
 
-    @property
-    def final(self) -> str:
+    def final(self, kind: Kind) -> str:
         """The final errors in words."""
         angle = "" if self.final_rms_deg is None else f", {self.final_rms_deg:.3f} deg"
-        return f"{self.final_rms_m * 1e3:.2f} mm{angle}"
+        return kind.length_text(self.final_rms_m, 2) + angle
 
 
 def judge(
