@@ -93,7 +93,7 @@ class BallDetector(Detector):
         scene = _Scene(colour_mask(rgb, colour), depth_m, camera, self._config.ball_radius_m)
         balls: list[BallDetection] = []
         miss: Sighting | None = None
-        for blob in _blobs(scene.mask):
+        for blob in blobs(scene.mask):
             result = _evaluate(blob, scene)
             if isinstance(result, Sighting):
                 balls += _split_by_depth(blob, scene)
@@ -131,7 +131,7 @@ class _Scene:
 
 
 @dataclass(frozen=True)
-class _Blob:
+class Blob:
     """A connected part of a mask: its bounding box, its mask in there, filled, and its size."""
 
     box: Region
@@ -144,10 +144,10 @@ class _Blob:
         return depth, (self.filled > 0) & (depth > 0.0) & (depth < np.inf)
 
 
-def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
+def blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[Blob]:
     """Find the connected parts of a mask from (u0, v0) on, largest first, holes filled."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    blobs = []
+    found = []
     for contour in contours:
         # The area within the pixel centres of the border; half the border is missing.
         if cv2.contourArea(contour) + 0.5 * len(contour) < ACCEPT.pixels:
@@ -156,12 +156,12 @@ def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
         filled = np.zeros((height, width), np.uint8)
         cv2.drawContours(filled, [contour], 0, 255, cv2.FILLED, offset=(-u, -v))
         box = Region(u0 + u, v0 + v, width, height)
-        blobs.append(_Blob(box, filled, cv2.countNonZero(filled)))
-    blobs.sort(key=lambda blob: -blob.pixels)
-    return blobs[:16]  # bounds the time that a noisy image takes
+        found.append(Blob(box, filled, cv2.countNonZero(filled)))
+    found.sort(key=lambda blob: -blob.pixels)
+    return found[:16]  # bounds the time that a noisy image takes
 
 
-def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
+def _split_by_depth(blob: Blob, scene: _Scene) -> list[BallDetection]:
     """Look for the ball in a blob that merges it with other objects of its colour.
 
     The first layer, as deep as a ball, is the one with most pixels. The next ones are searched in
@@ -183,14 +183,14 @@ def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
         mask = np.zeros_like(scene.mask)
         part = mask[blob.box.part]
         part[:] = 255 * layer.astype(np.uint8)
-        for piece in _blobs(part, blob.box.u0, blob.box.v0):
+        for piece in blobs(part, blob.box.u0, blob.box.v0):
             ball = _evaluate(piece, replace(scene, mask=mask))
             if isinstance(ball, BallDetection):
                 balls.append(ball)
     return balls
 
 
-def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Sighting:
+def _evaluate(blob: Blob, scene: _Scene) -> BallDetection | Sighting:
     """Fit the ball to a blob, or say why it is none."""
     box_depth, known = blob.depths(scene.depth_m)
     box, camera, radius_m = blob.box, scene.camera, scene.radius_m
@@ -225,7 +225,7 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Sighting:
     return miss if ball.quality < ACCEPT.quality else ball
 
 
-def _cut_out(blob: _Blob, scene: _Scene, pad: int) -> tuple[Patch, np.ndarray]:
+def _cut_out(blob: Blob, scene: _Scene, pad: int) -> tuple[Patch, np.ndarray]:
     """Surroundings of a blob, and which of their pixels have the ball's colour."""
     box, around = blob.box, blob.box.grown(pad, scene.camera)
     inside = np.zeros((around.height, around.width), bool)

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 from fvs_detector_node.tags import TagsConfig
 from fvs_ros.camera import CameraTopicsConfig
-from fvs_ros.kinds import BODIES, KindConfig
-from fvs_ros.params import Parameters, live_parameter, parameter
+from fvs_ros.params import Parameters, live_parameter
 
 
 @dataclass(frozen=True)
@@ -32,11 +31,6 @@ class BallColour(Parameters):
 class DetectorConfig(TagsConfig, CameraTopicsConfig):
     """Parameters of ball or tags, and of the image topics."""
 
-    feature: str = parameter(
-        KindConfig.feature,
-        "ball, or pose of a tag from the colour image alone",
-        choices=BODIES,
-    )
     ball_radius_m: float = live_parameter(
         0.04,
         "radius of the ball; measure it: a wrong radius gives a wrong distance",

@@ -16,15 +16,7 @@ from fvs_ros.camera import CameraModel, Intrinsics
 
 
 class Detection(Protocol):
-    """A body that is seen in an image."""
-
-    @property
-    def position_m(self) -> np.ndarray:
-        """Its middle, camera optical frame, (3,)."""
-
-    @property
-    def rotation(self) -> np.ndarray:
-        """From the body's to the camera's frame, (3, 3)."""
+    """What is seen in an image: what its kind's ``of_detection`` takes, too."""
 
     @property
     def visible_fraction(self) -> float:
@@ -53,13 +45,13 @@ class Detector:
 
     Attributes
     ----------
-    needs_depth : bool
-        Whether it takes depth images.
+    needs_depth, needs_calibration : bool
+        Whether it takes depth images, and a calibrated camera.
     measured : tuple of str
         Attributes of its detections for the status.
     """
 
-    needs_depth = False
+    needs_depth, needs_calibration = False, True
     measured: tuple[str, ...] = ()
 
     def __init__(self, config: DetectorConfig) -> None:

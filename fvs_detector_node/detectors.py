@@ -7,14 +7,18 @@ from dataclasses import replace
 from fvs_detector_node.ball_detector import BallDetector
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detector import Detector
+from fvs_detector_node.image_points import CentreDetector, CornerDetector
 from fvs_detector_node.tag_pose import TagDetector
 
 DETECTORS: dict[str, type[Detector]] = {"ball": BallDetector, "pose": TagDetector}
+#: Those of image points, by what carries them.
+POINT_DETECTORS: dict[str, type[Detector]] = {"ball": CentreDetector, "pose": CornerDetector}
 
 
 def make_detector(config: DetectorConfig) -> Detector:
     """The detector of the configured kind of feature."""
-    return DETECTORS[config.feature](config)
+    detectors = DETECTORS if config.kind.rigid else POINT_DETECTORS
+    return detectors[config.carries](config)
 
 
 def make_object_detector(config: DetectorConfig) -> Detector | None:
@@ -22,6 +26,8 @@ def make_object_detector(config: DetectorConfig) -> Detector | None:
     tag = config.object_tag
     if tag is None:
         return None
+    if not config.kind.rigid:
+        raise ValueError("object_tag_id: image points are not seen from an object")
     if DETECTORS[config.feature] is TagDetector and (
         shared := tag.faces.keys() & config.tag.faces.keys()
     ):

@@ -23,8 +23,7 @@ from fvs_detector_node.detector import Detector, Sighting, annotate
 from fvs_detector_node.detectors import make_detector, make_object_detector
 from fvs_detector_node.pairing import Pair, Pairing
 from fvs_ros import ros, topics
-from fvs_ros.camera import CameraModel
-from fvs_ros.kinds import KINDS
+from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.ros.images import from_color, from_depth
 from fvs_ros.ros.inputs import ArrivalMonitor
 from fvs_ros.topics import CAMERA_PREFIXES
@@ -47,7 +46,7 @@ class DetectorNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_detector_node", PARAMETERS)
         self._config = DetectorConfig.from_values(self.values)
-        self._kind = KINDS[self._config.feature](camera_mount=self._config.camera_mount)
+        self._kind = self._config.kind
         self._detector = make_detector(self._config)
         self._outputs = {self._detector: self.publisher(self._kind.feature)}
         object_detector = make_object_detector(self._config)
@@ -97,9 +96,9 @@ class DetectorNode(ros.FvsNode):
     def _subscribe(self) -> None:
         """Subscribe with a QoS that matches the publishers; again when topics or QoS change."""
         names = self._topics
-        wanted: dict[str, tuple[type, Callable[[Any], None], QoSProfile]] = {
-            names["info"]: (CameraInfo, self._on_camera_info, ros.QOS_NEWEST)
-        }
+        wanted: dict[str, tuple[type, Callable[[Any], None], QoSProfile]] = {}
+        if self._detector.needs_calibration:
+            wanted[names["info"]] = CameraInfo, self._on_camera_info, ros.QOS_NEWEST
         for name in ("colour", "depth") if self._detector.needs_depth else ("colour",):
             on_image = partial(self._on_image, name)
             wanted[names[name]] = Image, on_image, self._image_qos(names[name])
@@ -141,6 +140,9 @@ class DetectorNode(ros.FvsNode):
         start_s = self.steady_s()
         self._sightings = {}
         camera = self._camera
+        if not self._detector.needs_calibration:
+            height, width = pair.colour.pixels.shape[:2]
+            camera = CameraModel(Intrinsics.of_pixels(width, height))
         if camera is None or not self._consistent(pair, camera):
             return
         rgb, depth_m = pair.colour.pixels, pair.depth and pair.depth.pixels
@@ -189,7 +191,7 @@ class DetectorNode(ros.FvsNode):
         if body is None:
             return
         exposed_s = pair.stamp_s - self._config.stamp_delay_s
-        z = self._kind.of_body(body.position_m, body.rotation)
+        z = self._kind.of_detection(body)
         message = ros.to_feature(exposed_s, pair.colour.header.frame_id, self._kind, z)
         if exposed_s == pair.stamp_s:
             message.header.stamp = pair.colour.header.stamp  # to the nanosecond, as it came
@@ -223,7 +225,7 @@ class DetectorNode(ros.FvsNode):
         wanted = [("colour images", self._topics["colour"], "check the camera and camera_topics")]
         if self._detector.needs_depth:
             wanted.append(("depth images", self._topics["depth"], "set align_depth.enable:=true"))
-        if self._camera is None:
+        if self._camera is None and self._detector.needs_calibration:
             wanted.append(("camera_info", self._topics["info"], "is it remapped as well?"))
         for what, topic, hint in wanted:
             if self.monitor(topic).age_s(now_s) > _MISSING_S:

@@ -8,8 +8,9 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from fvs_ros.kinds import MountConfig
+from fvs_ros.kinds import KINDS, Kind, KindConfig, MountConfig
 from fvs_ros.kinds.kind import ON_ARM
+from fvs_ros.kinds.points import Points
 from fvs_ros.params import Parameters, parameter
 from fvs_ros.rotations import rotation_from_vector
 
@@ -103,8 +104,15 @@ class Tag(Parameters):
 
 @dataclass(frozen=True)
 class TagsConfig(MountConfig):
-    """The tags of what is servoed, and those of the object that the tool may be seen from."""
+    """What is seen, its tags, and those of the object that the tool may be seen from."""
 
+    feature: str = parameter(
+        KindConfig.feature,
+        "ball, pose of a tag, or points of an uncalibrated camera's image: the ball's centre, if "
+        "points is 1, or all corners of the tags",
+        choices=tuple(KINDS),
+    )
+    points: Points = field(default_factory=Points)
     tag: Tag = field(default_factory=Tag)
     object_tag_id: int = parameter(
         -1,
@@ -125,6 +133,26 @@ class TagsConfig(MountConfig):
         if self.camera_mount == ON_ARM:
             object.__setattr__(self, "tag", self.object_tag or self.tag)
             object.__setattr__(self, "object_tag_id", -1)
+
+    @cached_property
+    def kind(self) -> Kind:
+        """Of what is seen."""
+        kind = self.points if self.feature == Points.name else KINDS[self.feature]()
+        return replace(kind, camera_mount=self.camera_mount)
+
+    @property
+    def carries(self) -> str:
+        """The kind of body that is seen, by the feature that it usually has."""
+        if self.kind.rigid:
+            return self.feature
+        if self.points.points == 1:
+            return "ball"
+        if self.points.points != 4 * len(self.tag.faces):
+            raise ValueError(
+                f"points: {4 * len(self.tag.faces)} corners are on a {self.tag.tag_layout}, 1 is a "
+                f"ball's centre, got {self.points.points}"
+            )
+        return "pose"
 
     @property
     def object_tag(self) -> Tag | None:

@@ -65,6 +65,11 @@ class Intrinsics:
         if self.fx <= 0.0 or self.fy <= 0.0:
             raise ValueError(f"focal lengths must be positive, got fx={self.fx} fy={self.fy}")
 
+    @classmethod
+    def of_pixels(cls, width: int, height: int) -> Intrinsics:
+        """Of a camera of which nothing is known: its rays are the pixels themselves."""
+        return cls(width, height, 1.0, 1.0, 0.0, 0.0)
+
     def coarser(self, step: int) -> Intrinsics:
         """Of the same image in pixels that are so many times as large."""
         size = -(-self.width // step), -(-self.height // step)

@@ -56,6 +56,8 @@ class Carried:
     tilt_rad: np.ndarray | None = None
     #: Distance of its rod behind it, m.
     rod_gap_m = 0.0
+    #: Its image points, in its frame, (K, 3).
+    points_m = np.zeros((1, 3))
     #: Most pixels that the renderer draws across its part of the image; the largest image has less.
     drawn_px = 2000
 
@@ -134,6 +136,7 @@ class CarriedTag(Carried):
         first_m = 0.5 * (tag.pitch_m - m_px)  # from the middle to the first pixel's
         self._to_tag = np.array([[m_px, 0, -first_m], [0, -m_px, first_m], [0, 0, 1]])
         self._square_m = tag.pitch_m * SQUARE
+        self.points_m = np.concatenate([face.corners_m for face in tag.faces.values()])
         #: Corners of all prints with their borders, in the body's frame, (4 k, 3).
         self._corners_m = np.concatenate(
             [face.middle_m + self._square_m @ face.rotation.T for face in tag.faces.values()]

@@ -8,9 +8,8 @@ from math import ceil
 from fvs_detector_node.tags import TagsConfig
 from fvs_ros.camera import FeatureConfig, Intrinsics
 from fvs_ros.interface import CommandInterface
-from fvs_ros.kinds import BODIES, KindConfig
 from fvs_ros.params import live_parameter, parameter
-from fvs_sim_node.camera import CAMERAS, RigidPose
+from fvs_sim_node.camera import CAMERAS, Lens, RigidPose
 from fvs_sim_node.robot import ROBOTS
 
 BALL_RGBA = (0.86, 0.07, 0.06, 1.0)
@@ -50,9 +49,6 @@ class SimConfig(TagsConfig, CommandInterface):
         "joints at start and after ~/reset; empty: a well-conditioned pose",
         -6.3,
         6.3,
-    )
-    feature: str = parameter(
-        KindConfig.feature, "what is servoed: a ball, or a tag (pose)", choices=BODIES
     )
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
     object_position_m: tuple[float, ...] = live_parameter(
@@ -142,6 +138,8 @@ class SimConfig(TagsConfig, CommandInterface):
     #: encoder per turn; 0: infinitely many.
     encoder_noise_rad: float = 0.0
     encoder_steps: int = 0
+    #: First distortion coefficient of the webcam that sees image points.
+    k1: float = -0.2
     #: Relative error, positive for too large, of the reported focal length and of the depths.
     focal_error: float = 0.0
     depth_error: float = 0.0
@@ -168,6 +166,9 @@ class SimConfig(TagsConfig, CommandInterface):
     def intrinsics(self) -> Intrinsics:
         """The camera's."""
         width, height = self.image_width, self.image_height
+        if not self.kind.rigid:
+            centre = 0.48 * width, 0.53 * height  # nobody has it in the middle
+            return Lens(width, height, 0.85 * width, 0.85 * width, *centre, self.k1)
         focal = 615.0 / 640.0 * width  # of a D435's colour camera
         return Intrinsics(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 

@@ -202,7 +202,7 @@ class SimNode(ros.FvsNode):
 
     def _publish_observation(self, observation: Observation) -> None:
         stamp_s = self._base_s + observation.stamp_s
-        if self._info.get_subscription_count():
+        if self._kind.rigid and self._info.get_subscription_count():  # a webcam sends none
             self._info.publish(
                 ros.to_camera_info(stamp_s, self._frame, self._sim.reported_intrinsics)
             )
@@ -233,7 +233,7 @@ class SimNode(ros.FvsNode):
     def _publish_frame(self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray) -> None:
         if self._color.get_subscription_count():
             self._color.publish(ros.to_image(stamp_s, self._frame, rgb, "rgb8"))
-        if self._depth.get_subscription_count():
+        if self._kind.rigid and self._depth.get_subscription_count():
             millimetres = np.round(depth_m * 1e3).clip(0, 65535).astype(np.uint16)
             self._depth.publish(ros.to_image(stamp_s, self._frame, millimetres, "16UC1"))
 

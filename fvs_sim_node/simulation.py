@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +18,9 @@ from fvs_detector_node.detector import Detector
 from fvs_detector_node.detectors import make_detector, make_object_detector
 from fvs_detector_node.images import Region
 from fvs_ros.camera import CameraModel, Intrinsics
-from fvs_ros.chain import SerialChain
 from fvs_ros.interface import VELOCITY
-from fvs_ros.kinds import KINDS, Kind
+from fvs_ros.kinds import Kind
+from fvs_ros.pixel_chain import PixelChain
 from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.camera import RigidPose
 from fvs_sim_node.carried import Carried
@@ -78,7 +79,7 @@ class Simulation:
 
     def __init__(self, config: SimConfig | None = None) -> None:
         config = config or SimConfig()
-        self.kind = KINDS[config.feature](camera_mount=config.camera_mount)
+        self.kind = config.kind
         self.intrinsics = config.intrinsics
         self.world = World(config)
         self._actuator = Actuator(
@@ -315,10 +316,12 @@ class Simulation:
         if part is None:
             return None, 0.0
         if not self.config.rendered:
-            in_view = camera.contains(camera.project(true.position_m))
+            z, fraction = self._feature(body, true), 1.0
+            points_px = camera.project(true.position_m) if self.kind.rigid else z.reshape(-1, 2)
+            in_view = camera.contains(points_px)
             if not in_view or (self.kind.on_arm and not body.legible(true, camera)):
                 return None, 0.0
-            z, fraction = self.as_seen(self.kind.of_body(true.position_m, true.rotation)), 1.0
+            z = self.as_seen(z)
         else:
             # As from a camera that sends only the region around the body: drawing takes long.
             region = part.grown(min(part.width // 8 + 8, 24), camera)
@@ -327,7 +330,7 @@ class Simulation:
             detection = detector.detect(self.time_s, *images, view).detection
             if detection is None:
                 return None, 0.0
-            z = self.kind.of_body(detection.position_m, detection.rotation)
+            z = self.kind.of_detection(detection)
             fraction = detection.visible_fraction
         return self._blurred(z, rng), fraction
 
@@ -345,8 +348,13 @@ class Simulation:
 
     @property
     def reported_intrinsics(self) -> Intrinsics:
-        """The intrinsics that ``camera_info`` and the detection have, with ``focal_error``."""
+        """The intrinsics that ``camera_info`` and the detection have, with ``focal_error``.
+
+        A webcam has no ``camera_info``, and nothing is known of it.
+        """
         true, scale = self.intrinsics, 1.0 + self.config.focal_error
+        if not self.kind.rigid:
+            return Intrinsics.of_pixels(true.width, true.height)
         return replace(true, fx=scale * true.fx, fy=scale * true.fy)
 
     # -------------------------------------------------------------------- truth
@@ -356,6 +364,8 @@ class Simulation:
         For a ball in a rendered image this is accurate to 2 mm (at 2 %), because the ball's size in
         the image does not match its distance.
         """
+        if not self.kind.rigid:
+            return z
         scaled = np.append((1.0 + self.config.depth_error) * z[:3], z[3:])
         return self.kind.without_lens(scaled[None], self.config.focal_error, 0.0)[0]
 
@@ -365,8 +375,14 @@ class Simulation:
 
     def true_feature(self) -> np.ndarray:
         """The feature as the camera sees it now, (m,). For evaluation only."""
-        pose = self.true_pose()
-        return self.kind.of_body(pose.position_m, pose.rotation)
+        return self._feature(self.world.body, self.true_pose())
+
+    def _feature(self, body: Carried, pose: RigidPose) -> np.ndarray:
+        """Of a body at a pose in the camera's frame, (m,)."""
+        if self.kind.rigid:
+            return self.kind.of_body(pose.position_m, pose.rotation)
+        points_m = body.points_m @ pose.rotation.T + pose.position_m
+        return self.intrinsics.project(points_m).ravel()
 
     def true_object(self) -> np.ndarray | None:
         """The object's feature beside the tool's as the camera sees it now. For evaluation only."""
@@ -388,11 +404,13 @@ class Simulation:
             Of the feature; default that of the configuration.
         """
         kind = kind or self.kind
-        motion = self.true_chain(kind).motion(np.asarray(joints_rad, dtype=float))
-        return kind.moved_by(*motion)
+        return kind.along(self.true_chain(kind), np.asarray(joints_rad, dtype=float))[1]
 
-    def true_chain(self, kind: Kind | None = None) -> SerialChain:
-        """The arm as the camera sees it now, with what is servoed. For evaluation only."""
+    def true_chain(self, kind: Kind | None = None) -> Any:
+        """The arm as the camera sees it now, with what is servoed. For evaluation only.
+
+        A ``SerialChain``, or a ``PixelChain`` of image points.
+        """
         kind, camera = kind or self.kind, self.mounted
         chain = self.world.chain_with(kind)
         if self.kind.on_arm:
@@ -401,4 +419,6 @@ class Simulation:
             chain = replace(chain, feature_m=seen, on_arm=True)
             camera = self.world.zero_link.pose_from_own(camera)
         back = camera.rotation.T
-        return chain.moved(back, -back @ camera.position_m)
+        chain = chain.moved(back, -back @ camera.position_m)
+        lens: Any = self.intrinsics
+        return chain if kind.rigid else PixelChain(chain, lens.webcam)

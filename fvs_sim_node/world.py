@@ -24,7 +24,7 @@ from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.kind import ON_ARM
 from fvs_ros.rotations import quaternion_from_rotation, rotation_from_vector
 from fvs_ros.urdf import UrdfJoint
-from fvs_sim_node.camera import BRACKET, D435, RigidPose, add_depth_noise
+from fvs_sim_node.camera import BRACKET, D435, Lens, RigidPose, add_depth_noise
 from fvs_sim_node.carried import CARRIED, Carried, CarriedTag, exposed
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.placement import Placement
@@ -66,7 +66,10 @@ class World:
         self._offset_m, self._ball_radius_m = config.ball_offset_m, config.ball_radius_m
         self._on_arm = config.camera_mount == ON_ARM
         near_m = D435.near_m if self._on_arm else _NEAR_M
-        self.renderer = Renderer(self.client, config.intrinsics, near_m)
+        self._intrinsics = config.intrinsics
+        self._lens = self._intrinsics if isinstance(self._intrinsics, Lens) else None
+        pinhole = self._lens.pinhole if self._lens else self._intrinsics
+        self.renderer = Renderer(self.client, pinhole, near_m)
         try:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
             self.client.setGravity(0.0, 0.0, 0.0)
@@ -78,7 +81,7 @@ class World:
             self.camera_link = link if self._on_arm else root_link
             self._find_joints(joints, link)
             self._prepare_links()
-            self.body = CARRIED[config.feature](config)
+            self.body = CARRIED[config.carries](config)
             self._offset_m += self.body.depth_m
             self.object: Carried | None = self.body if self._on_arm else None
             if config.object_tag is not None:
@@ -245,12 +248,14 @@ class World:
 
         As :meth:`Renderer.render`; ``velocities_rad_s`` of the joints blur a tag, (n,).
         """
-        intrinsics = self.renderer.intrinsics
-        view = region.view(intrinsics) if region else intrinsics
+        intrinsics, part = self.renderer.intrinsics, region or Region.whole(self._intrinsics)
         if config.camera_covered:
-            shape = view.height, view.width
+            shape = part.height, part.width
             return np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
-        step = ceil(max(view.width, view.height) / self.body.drawn_px) if region else 1
+        step = ceil(max(part.width, part.height) / self.body.drawn_px) if region else 1
+        if self._lens is not None:
+            region, u, v = self._lens.source(part, intrinsics)
+        view = region.view(intrinsics) if region else intrinsics
         rgb, depth_m = self.renderer.render(camera, region, step)
         jacobians = self._jacobians(self.joint_states()[0])
         arm_m_s, arm_rad_s = (jacobian @ velocities_rad_s for jacobian in jacobians)
@@ -270,6 +275,9 @@ class World:
             linear, angular = linear @ camera.rotation, angular @ camera.rotation
             poses = exposed(pose, linear, angular, config.exposure_s)
             self.object.paint(rgb, depth_m, view, poses, rng)
+        if self._lens is not None:
+            rgb = cv2.remap(rgb, u, v, cv2.INTER_LINEAR)
+            return rgb, cv2.remap(depth_m, u, v, cv2.INTER_NEAREST)
         if step > 1:  # for a detector that takes no depths
             return rgb, depth_m
         depth_m = add_depth_noise(depth_m, intrinsics.fx, rng, config.depth_noise)
@@ -294,8 +302,12 @@ class World:
         return self.chain_with(Ball())
 
     def chain_with(self, kind: Kind) -> SerialChain:
-        """The same with what is measured of ball or tag."""
-        carried = kind.of_body(self._zero_position_m, self.zero_link.rotation @ self._mount)
+        """The same with what is measured of ball or tag, or, for image points, their points."""
+        mount = self.zero_link.rotation @ self._mount
+        carried = kind.of_body(self._zero_position_m, mount)
+        if not kind.rigid:
+            first, *others = self.body.points_m @ mount.T
+            carried = np.concatenate([carried + first, *(other - first for other in others)])
         zeros = np.zeros(len(self._joints))
         linear, axes = (jacobian.T for jacobian in self._jacobians(zeros))
         points_m = self._zero_position_m + np.cross(axes, linear)
@@ -350,7 +362,7 @@ class World:
             joints_rad, _ = self.joint_states()
             self._collide(True)
             self._cameras[name] = self._placement.camera(
-                name, self.home_rad, self.renderer.intrinsics, self._hidden
+                name, self.home_rad, self._intrinsics, self._hidden
             )
             self._collide(False)
             self.reset(joints_rad)

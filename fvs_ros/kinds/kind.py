@@ -269,6 +269,10 @@ class Kind(Parameters):
         """What is measured of a body at a position, m, (3,), with a rotation matrix, (3, 3)."""
         return position_m
 
+    def of_detection(self, detection: Any) -> np.ndarray:
+        """What is measured of what a detector found."""
+        return self.of_body(detection.position_m, detection.rotation)
+
     def rotation(self, z: np.ndarray) -> np.ndarray | None:
         """The body's rotation matrix, (3, 3); None for a kind that has none."""
         return None

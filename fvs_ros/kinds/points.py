@@ -16,9 +16,17 @@ import numpy as np
 
 from fvs_ros.kinds.kind import Kind
 from fvs_ros.params import parameter
-from fvs_ros.topics import COLLECTOR, CONTROLLER, ESTIMATOR, kind_topics, message_class
+from fvs_ros.topics import (
+    COLLECTOR,
+    CONTROLLER,
+    DEMO,
+    ESTIMATOR,
+    SIM,
+    kind_topics,
+    message_class,
+)
 
-_COUNT = 4
+_COUNT = 1
 
 
 def _names(count: int) -> tuple[str, ...]:
@@ -44,10 +52,12 @@ class Points(Kind):
     name, what = "points", "pattern"
     columns = axes = _names(_COUNT)
     box_size, rigid = 0, False
+    models = ("models/ur5_front_points.npz", "")
     topics = _TOPICS._replace(
-        tool=replace(_TOPICS.tool, publishers=(), subscribers=(ESTIMATOR, CONTROLLER, COLLECTOR)),
-        target=replace(_TOPICS.target, publishers=()),
-        truth=replace(_TOPICS.truth, publishers=(), subscribers=()),
+        tool=replace(_TOPICS.tool, subscribers=(SIM, ESTIMATOR, CONTROLLER, COLLECTOR)),
+        target=replace(_TOPICS.target, publishers=(DEMO,)),
+        object=replace(_TOPICS.object, publishers=(), subscribers=(CONTROLLER,)),
+        object_truth=replace(_TOPICS.object_truth, publishers=(), subscribers=()),
     )
 
     points: int = parameter(_COUNT, "Count of the image points; for points.", 1, 64)
@@ -61,6 +71,8 @@ class Points(Kind):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.on_arm:
+            raise ValueError("image points are seen by a camera that stands in the room")
         for name in ("columns", "axes"):
             object.__setattr__(self, name, _names(self.points))
 
@@ -86,6 +98,10 @@ class Points(Kind):
         z, by_joint = chain.position_and_jacobian(joints_rad)
         return z, self.unit[:, None] * by_joint
 
+    def of_detection(self, detection: Any) -> np.ndarray:
+        """Its points, px, (m,)."""
+        return np.asarray(detection.px.ravel())
+
     def read(self, message: Any) -> np.ndarray:
         """Points of a ``PolygonStamped``, px, (m,)."""
         points = message.polygon.points
@@ -104,4 +120,4 @@ class Points(Kind):
 
     def length_text(self, length_m: float, digits: int = 0) -> str:
         """A length in pixels."""
-        return f"{length_m / self.pixel_m:.{digits}f} px"
+        return f"{length_m / self.pixel_m:.{max(digits, 1)}f} px"

@@ -34,7 +34,7 @@ from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.kinds import KindConfig
 from fvs_ros.kinds.points import Points
 
-KIND = Points()
+KIND = Points(4)
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
 NOISE_PX, DT_S, IMAGE_TICKS, LATE_TICKS, PERIOD_S = 0.2, 0.008, 4, 5, 1.0 / 60.0
 #: Points of a thing about the tool's point, m, at the first joints; in no plane: the tilt of a flat
@@ -84,7 +84,7 @@ def goals(rng):
 
 def test_networks_of_a_minute_bring_the_points_to_their_targets_to_a_pixel(trained):
     rng = np.random.default_rng(2)
-    servo = ServoLoop(default_values(feature=KIND.name, autostart=True))
+    servo = ServoLoop(default_values(feature=KIND.name, points=4, autostart=True))
     estimation = EstimationLoop(RbfEstimator(trained.model, kind=KIND))
     joints, waiting, tick = ur5_dh.HOME_RAD.copy(), deque(), 0
     for target in seen(goals(rng)):
@@ -114,11 +114,11 @@ def test_networks_of_a_minute_bring_the_points_to_their_targets_to_a_pixel(train
 def test_a_file_tells_how_many_points_and_keeps_the_chain(data, trained, tmp_path):
     save_data_set(tmp_path / "d.npz", data)
     save_model(tmp_path / "m.npz", trained)
-    assert load_data_set(tmp_path / "d.npz", expected=KindConfig(feature="points")).kind == KIND
-    three = KindConfig(feature="points", points=Points(3))
+    three, four = (KindConfig(feature="points", points=Points(k)) for k in (3, 4))
+    assert load_data_set(tmp_path / "d.npz", expected=four).kind == KIND
     with pytest.raises(FileError, match=r"points \(8 numbers\), expected points \(6 numbers\)"):
         load_model(tmp_path / "m.npz", expected=three)
-    loaded = load_model(tmp_path / "m.npz", expected=KindConfig(feature="points"))
+    loaded = load_model(tmp_path / "m.npz", expected=four)
     joints = ur5_dh.HOME_RAD
     kept = loaded.chain.jacobian(joints), trained.chain.jacobian(joints)
     np.testing.assert_allclose(*kept, atol=1e-9)
