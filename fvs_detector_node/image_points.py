@@ -28,8 +28,9 @@ class Outline:
     #: a lens that distorts and for the ellipse that a ball is at the edge of a wide picture.
     near_px: float = 1.0
     near_radius: float = 0.04
-    #: Rounds of the fit.
-    rounds: int = 10
+    #: Rounds of the fit at most, and the change of the radius, px, that ends them.
+    rounds: int = 30
+    still_px: float = 0.005
 
 
 OUTLINE = Outline()
@@ -94,13 +95,15 @@ def _circle(points: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, floa
     origin = points.mean(axis=0)
     around = points - origin
     columns = np.insert(around, 2, 1.0, axis=1)
-    square, weights = np.sum(around**2, axis=1), np.ones(len(points))
+    square, weights, radius = np.sum(around**2, axis=1), np.ones(len(points)), np.inf
     for _ in range(OUTLINE.rounds):
         solution = np.linalg.lstsq(columns * weights[:, None], square * weights, rcond=None)[0]
         middle = 0.5 * solution[:2]
-        radius = float(np.sqrt(max(solution[2] + middle @ middle, 0.0)))
+        before, radius = radius, float(np.sqrt(max(solution[2] + middle @ middle, 0.0)))
         off = np.linalg.norm(around - middle, axis=1) - radius
         weights = 1.0 / (1.0 + (off / OUTLINE.near_px) ** 2)
+        if abs(radius - before) < OUTLINE.still_px:
+            break
     near = np.abs(off) < OUTLINE.near_px + OUTLINE.near_radius * radius
     if np.count_nonzero(near) < OUTLINE.on_circle * total:
         return None

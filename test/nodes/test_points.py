@@ -1,16 +1,20 @@
 """Image points by a camera of which nothing is known: learned from a minute of motion, servoed."""
 
+import json
 import time
 from collections import deque
 from dataclasses import replace
 
+import drawn_balls
+import drawn_tags
 import numpy as np
 import pytest
 import ur5_dh
+from drawn_balls import VGA
 from geometry_msgs.msg import Point32, PolygonStamped
 from harness import Statuses
 from recordings import Recording, ur5_chain
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -174,6 +178,40 @@ def polygon(z, stamp_s=0.0):
     message.header.frame_id, message.header.stamp = CAMERA_FRAME, ros.to_stamp(stamp_s)
     message.polygon.points = [Point32(x=u, y=v) for u, v in z.reshape(-1, 2).tolist()]
     return message
+
+
+@pytest.mark.parametrize("points", [1, 4])
+def test_the_detector_publishes_points_of_a_camera_without_calibration(ros_test, points):
+    middle_m, facing = np.array([0.05, 0.02, 0.5]), np.diag([1.0, -1.0, -1.0])
+    rgb, expected = drawn_balls.draw([(middle_m, drawn_balls.RADIUS_M)])[0], VGA.project(middle_m)
+    if points == 4:
+        rgb, expected = (
+            drawn_tags.draw([(0, facing, middle_m)]),
+            drawn_tags.corners_px(facing, middle_m),
+        )
+    ros_test.start_node("fvs_detector_node.node", feature="points", points=points)
+    status = Statuses(ros_test, topics.DETECTOR)
+    images = ros_test.publisher(Image, topics.COLOR_IMAGE.name)
+    messages = ros_test.collect(PolygonStamped, "image_points")
+    ros_test.node.create_timer(
+        0.05, lambda: images.publish(ros.to_image(time.time(), CAMERA_FRAME, rgb, "rgb8"))
+    )
+    status.wait_for("TRACKING", "the pattern is seen, image_points is published")
+    ros_test.spin_until(lambda: messages, what="points")
+    z = Points(points).read(messages[-1]).reshape(-1, 2)
+    np.testing.assert_allclose(z, np.reshape(expected, (-1, 2)), atol=0.5)
+
+
+def test_the_demo_brings_the_ball_before_a_webcam_to_a_target(ros_test):
+    few = "targets:=1", "target_s:=3.0", "image_rate_hz:=15.0", "output_dir:=out"
+    webcam = "feature:=points", "simulated_time:=true", "use_sim_time:=true"
+    arguments = (word for value in (*few, *webcam) for word in ("-p", value))
+    process = ros_test.start("fvs_tools.launcher", "demo", *arguments)
+    assert ros_test.wait(process, 120.0) == 0, ros_test.output(process)
+    (result,) = json.loads((ros_test.folder / "out" / "results.json").read_text())
+    assert result["start_distance_m"] > 40.0 * KIND.pixel_m
+    assert result["final_rms_m"] < 1.0 * KIND.pixel_m
+    assert "1.0 px" in ros_test.output(process)
 
 
 @pytest.mark.parametrize(("method", "law"), [("rbf", "ftsm"), ("poe", "minimum_time")])
