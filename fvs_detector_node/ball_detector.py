@@ -137,6 +137,7 @@ class Blob:
     box: Region
     filled: np.ndarray
     pixels: int
+    outline: np.ndarray  # its pixels at the border, (n, 2)
 
     def depths(self, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Depth within the bounding box, m, and where the blob has one; both of its shape."""
@@ -156,7 +157,7 @@ def blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[Blob]:
         filled = np.zeros((height, width), np.uint8)
         cv2.drawContours(filled, [contour], 0, 255, cv2.FILLED, offset=(-u, -v))
         box = Region(u0 + u, v0 + v, width, height)
-        found.append(Blob(box, filled, cv2.countNonZero(filled)))
+        found.append(Blob(box, filled, cv2.countNonZero(filled), contour[:, 0] + [u0, v0]))
     found.sort(key=lambda blob: -blob.pixels)
     return found[:16]  # bounds the time that a noisy image takes
 

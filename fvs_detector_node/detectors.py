@@ -17,8 +17,7 @@ POINT_DETECTORS: dict[str, type[Detector]] = {"ball": CentreDetector, "pose": Co
 
 def make_detector(config: DetectorConfig) -> Detector:
     """The detector of the configured kind of feature."""
-    detectors = DETECTORS if config.kind.rigid else POINT_DETECTORS
-    return detectors[config.carries](config)
+    return (DETECTORS if config.kind.rigid else POINT_DETECTORS)[config.carries](config)
 
 
 def make_object_detector(config: DetectorConfig) -> Detector | None:

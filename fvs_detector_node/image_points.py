@@ -9,31 +9,14 @@ import cv2
 import numpy as np
 
 from fvs_detector_node.ball_detector import blobs, colour_mask
-from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detector import Detector, Sighting
 from fvs_detector_node.images import Region
-from fvs_detector_node.tag_corners import TagReader
+from fvs_detector_node.sphere import ACCEPT
+from fvs_detector_node.tag_pose import TagDetector
 from fvs_ros.camera import Intrinsics
 
-
-@dataclass(frozen=True)
-class Outline:
-    """Which outlines are a ball's."""
-
-    #: Fewest points of it, and the share of them that lie on a circle; an arm that hides the rest
-    #: shifts that circle by less than the noise.
-    points: int = 20
-    on_circle: float = 0.6
-    #: Distance from the circle within which a point lies on it: px, and a share of the radius, for
-    #: a lens that distorts and for the ellipse that a ball is at the edge of a wide picture.
-    near_px: float = 1.0
-    near_radius: float = 0.04
-    #: Rounds of the fit at most, and the change of the radius, px, that ends them.
-    rounds: int = 30
-    still_px: float = 0.005
-
-
-OUTLINE = Outline()
+#: Rounds of the fit of a circle: after 10, a half hidden ball was off by a pixel.
+_ROUNDS = 30
 
 
 @dataclass(frozen=True)
@@ -66,21 +49,15 @@ class CentreDetector(Detector):
         self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray | None, camera: Intrinsics
     ) -> Sighting:
         """Detect the ball's centre in an image or a part of it."""
-        box = None
-        for blob in blobs(colour_mask(rgb, self._config.colour)):
-            box = box or blob.box
-            (outline, *_), _ = cv2.findContours(
-                np.pad(blob.filled, 1), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-            )
-            corner = np.array([blob.box.u0, blob.box.v0]) - 1.0
-            circle = _circle(outline[:, 0] + corner, rgb.shape[1::-1])
+        coloured = blobs(colour_mask(rgb, self._config.colour))
+        for blob in coloured:
+            circle = _circle(blob.outline, rgb.shape[1::-1])
             if circle is not None:
                 middle, radius_px = circle
-                origin = np.array([camera.cx, camera.cy])
-                return Sighting(PointsDetection((middle - origin)[None], radius_px))
-        if box is None:
-            return Sighting(None, "nothing in view has the ball's colour: is hue right?")
-        return Sighting(None, "what has the ball's colour is not round: uncover the ball", box)
+                return Sighting(PointsDetection(middle[None] - [camera.cx, camera.cy], radius_px))
+        if coloured:
+            return Sighting(None, "the ball's colour is not round: uncover it", coloured[0].box)
+        return Sighting(None, "nothing in view has the ball's colour: is hue right?")
 
 
 def _circle(points: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, float] | None:
@@ -88,44 +65,36 @@ def _circle(points: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, floa
 
     Those at the edge of an image of this size do not count; None if too few are left.
     """
-    total = len(points)
+    least = ACCEPT.on_outline * len(points)
     points = points[np.all((points > 0) & (points < np.array(size) - 1), axis=1)]
-    if len(points) < OUTLINE.points:
+    if len(points) < least:
         return None
     origin = points.mean(axis=0)
     around = points - origin
     columns = np.insert(around, 2, 1.0, axis=1)
-    square, weights, radius = np.sum(around**2, axis=1), np.ones(len(points)), np.inf
-    for _ in range(OUTLINE.rounds):
+    square, weights = np.sum(around**2, axis=1), np.ones(len(points))
+    for _ in range(_ROUNDS):
         solution = np.linalg.lstsq(columns * weights[:, None], square * weights, rcond=None)[0]
         middle = 0.5 * solution[:2]
-        before, radius = radius, float(np.sqrt(max(solution[2] + middle @ middle, 0.0)))
+        radius = float(np.sqrt(max(solution[2] + middle @ middle, 0.0)))
         off = np.linalg.norm(around - middle, axis=1) - radius
-        weights = 1.0 / (1.0 + (off / OUTLINE.near_px) ** 2)
-        if abs(radius - before) < OUTLINE.still_px:
-            break
-    near = np.abs(off) < OUTLINE.near_px + OUTLINE.near_radius * radius
-    if np.count_nonzero(near) < OUTLINE.on_circle * total:
-        return None
-    return origin + middle, radius
+        weights = 1.0 / (1.0 + (off / ACCEPT.circle_px) ** 2)
+    near = np.abs(off) < max(ACCEPT.circle_px, ACCEPT.circle * radius)
+    return (origin + middle, radius) if np.count_nonzero(near) >= least else None
 
 
-class CornerDetector(Detector):
+class CornerDetector(TagDetector):
     """Detects all corners of the tags, clockwise from the upper left, by the tags' numbers."""
 
-    needs_calibration = False
-
-    def __init__(self, config: DetectorConfig) -> None:
-        self._reader = TagReader(config.tag)
-        super().__init__(config)
+    needs_calibration, measured = False, ()
 
     def detect_in(
         self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray | None, camera: Intrinsics
     ) -> Sighting:
         """Detect the corners in an image or a part of it; a little distortion does not matter."""
         corners, problem = self._reader.read(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
-        missing = self._reader.tag.faces.keys() - corners.keys()
+        missing = self._tag.faces.keys() - corners.keys()
         if missing:
             return Sighting(None, problem or f"tag {min(missing)} is not seen: uncover it")
-        px = np.concatenate([corners[number].px for number in self._reader.tag.faces])
+        px = np.concatenate([corners[number].px for number in self._tag.faces])
         return Sighting(PointsDetection(px - [camera.cx, camera.cy]))

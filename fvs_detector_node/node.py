@@ -141,8 +141,7 @@ class DetectorNode(ros.FvsNode):
         self._sightings = {}
         camera = self._camera
         if not self._detector.needs_calibration:
-            height, width = pair.colour.pixels.shape[:2]
-            camera = CameraModel(Intrinsics.of_pixels(width, height))
+            camera = CameraModel(Intrinsics.of_pixels(*pair.colour.pixels.shape[1::-1]))
         if camera is None or not self._consistent(pair, camera):
             return
         rgb, depth_m = pair.colour.pixels, pair.depth and pair.depth.pixels

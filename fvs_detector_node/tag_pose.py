@@ -101,7 +101,7 @@ class _Fit:
 class TagDetector(Detector):
     """Detects the tag, or the body of tags; remembers the last rotation, and when it was."""
 
-    measured = ("residual_px",)
+    measured: tuple[str, ...] = ("residual_px",)
 
     def __init__(self, config: DetectorConfig) -> None:
         self._tag, self._reader = config.tag, TagReader(config.tag)

@@ -108,8 +108,7 @@ class TagsConfig(MountConfig):
 
     feature: str = parameter(
         KindConfig.feature,
-        "ball, pose of a tag, or points of an uncalibrated camera's image: the ball's centre, if "
-        "points is 1, or all corners of the tags",
+        "ball, pose of a tag, or points, px: the ball's centre, or all corners of the tags",
         choices=tuple(KINDS),
     )
     points: Points = field(default_factory=Points)
@@ -145,14 +144,12 @@ class TagsConfig(MountConfig):
         """The kind of body that is seen, by the feature that it usually has."""
         if self.kind.rigid:
             return self.feature
-        if self.points.points == 1:
-            return "ball"
-        if self.points.points != 4 * len(self.tag.faces):
-            raise ValueError(
-                f"points: {4 * len(self.tag.faces)} corners are on a {self.tag.tag_layout}, 1 is a "
-                f"ball's centre, got {self.points.points}"
-            )
-        return "pose"
+        if self.kind.on_arm:
+            raise ValueError("camera_mount: image points are seen by a camera in the room")
+        points, corners = self.points.points, 4 * len(self.tag.faces)
+        if points not in (1, corners):
+            raise ValueError(f"points: 1 is a ball's, {corners} are the tags', not {points}")
+        return "ball" if points == 1 else "pose"
 
     @property
     def object_tag(self) -> Tag | None:

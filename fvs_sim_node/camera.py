@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, floor
 
 import cv2
 import numpy as np
 
-from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
 from fvs_ros.pixel_chain import Webcam
 
@@ -81,32 +80,20 @@ class Lens(Intrinsics):
         """Pixels of points in the camera frame."""
         return self.webcam.project(np.asarray(point_m, dtype=float))[0]
 
-    @property
-    def pinhole(self) -> Intrinsics:
-        """A camera without distortion that sees as much."""
-        u, v = self._without(Region.whole(self))
-        left, top = ceil(-u.min()) + 1, ceil(-v.min()) + 1
-        width, height = ceil(u.max()) + left + 2, ceil(v.max()) + top + 2
-        return Intrinsics(width, height, self.fx, self.fy, self.cx + left, self.cy + top)
-
-    def source(self, part: Region, pinhole: Intrinsics) -> tuple[Region, np.ndarray, np.ndarray]:
-        """The part of a pinhole image that a part of this one shows, and where its pixels are."""
-        u, v = self._without(part)
-        u, v = u + pinhole.cx - self.cx, v + pinhole.cy - self.cy
-        corners = np.array([[u.min(), v.min()], [u.max(), v.max()]])
-        source = Region.around(corners).grown(2, pinhole)
-        return source, (u - source.u0).astype(np.float32), (v - source.v0).astype(np.float32)
-
-    def _without(self, part: Region) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels u and v, each (H, W), that those of a part of the image have with k1 = 0."""
-        v, u = np.mgrid[part.part].astype(float)
-        seen = np.hypot((u - self.cx) / self.fx, (v - self.cy) / self.fy)
-        radius = seen
+    def pinhole(self) -> tuple[Intrinsics, np.ndarray, np.ndarray]:
+        """A camera without distortion that sees as much; u and v there of each pixel, (H, W)."""
+        v, u = np.mgrid[: self.height, : self.width].astype(float)
+        x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        seen = radius = np.hypot(x, y)
         for _ in range(20):  # Newton's steps
             slope = 1.0 + 3.0 * self.k1 * radius**2
             radius = radius - (radius + self.k1 * radius**3 - seen) / slope
-        grows = np.divide(radius, seen, out=np.ones_like(seen), where=seen > 0.0)
-        return self.cx + grows * (u - self.cx), self.cy + grows * (v - self.cy)
+        grows = radius / np.maximum(seen, 1e-9)
+        u, v = self.fx * grows * x, self.fy * grows * y
+        cx, cy = 2 - floor(u.min()), 2 - floor(v.min())
+        size = ceil(u.max()) + cx + 3, ceil(v.max()) + cy + 3
+        pinhole = Intrinsics(*size, self.fx, self.fy, cx, cy)
+        return pinhole, (u + cx).astype(np.float32), (v + cy).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -164,11 +164,11 @@ class SimConfig(TagsConfig, CommandInterface):
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """The camera's."""
+        """The camera's; a webcam has its centre anywhere."""
         width, height = self.image_width, self.image_height
         if not self.kind.rigid:
-            centre = 0.48 * width, 0.53 * height  # nobody has it in the middle
-            return Lens(width, height, 0.85 * width, 0.85 * width, *centre, self.k1)
+            focal, u, v = 0.85 * width, 0.48 * width, 0.53 * height
+            return Lens(width, height, focal, focal, u, v, self.k1)
         focal = 615.0 / 640.0 * width  # of a D435's colour camera
         return Intrinsics(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 

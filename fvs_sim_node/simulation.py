@@ -321,7 +321,7 @@ class Simulation:
             in_view = camera.contains(points_px)
             if not in_view or (self.kind.on_arm and not body.legible(true, camera)):
                 return None, 0.0
-            z = self.as_seen(z)
+            z = self.as_seen(z) if self.kind.rigid else z
         else:
             # As from a camera that sends only the region around the body: drawing takes long.
             region = part.grown(min(part.width // 8 + 8, 24), camera)
@@ -348,13 +348,10 @@ class Simulation:
 
     @property
     def reported_intrinsics(self) -> Intrinsics:
-        """The intrinsics that ``camera_info`` and the detection have, with ``focal_error``.
-
-        A webcam has no ``camera_info``, and nothing is known of it.
-        """
+        """The intrinsics that ``camera_info`` and the detection have, with ``focal_error``."""
         true, scale = self.intrinsics, 1.0 + self.config.focal_error
         if not self.kind.rigid:
-            return Intrinsics.of_pixels(true.width, true.height)
+            return Intrinsics.of_pixels(true.width, true.height)  # nothing is known
         return replace(true, fx=scale * true.fx, fy=scale * true.fy)
 
     # -------------------------------------------------------------------- truth
@@ -364,8 +361,6 @@ class Simulation:
         For a ball in a rendered image this is accurate to 2 mm (at 2 %), because the ball's size in
         the image does not match its distance.
         """
-        if not self.kind.rigid:
-            return z
         scaled = np.append((1.0 + self.config.depth_error) * z[:3], z[3:])
         return self.kind.without_lens(scaled[None], self.config.focal_error, 0.0)[0]
 
@@ -407,10 +402,7 @@ class Simulation:
         return kind.along(self.true_chain(kind), np.asarray(joints_rad, dtype=float))[1]
 
     def true_chain(self, kind: Kind | None = None) -> Any:
-        """The arm as the camera sees it now, with what is servoed. For evaluation only.
-
-        A ``SerialChain``, or a ``PixelChain`` of image points.
-        """
+        """The arm, or its pixels, as the camera sees it now, for evaluation only."""
         kind, camera = kind or self.kind, self.mounted
         chain = self.world.chain_with(kind)
         if self.kind.on_arm:

@@ -67,8 +67,9 @@ class World:
         self._on_arm = config.camera_mount == ON_ARM
         near_m = D435.near_m if self._on_arm else _NEAR_M
         self._intrinsics = config.intrinsics
-        self._lens = self._intrinsics if isinstance(self._intrinsics, Lens) else None
-        pinhole = self._lens.pinhole if self._lens else self._intrinsics
+        pinhole, self._undistorted = self._intrinsics, list[np.ndarray]()
+        if isinstance(self._intrinsics, Lens):
+            pinhole, *self._undistorted = self._intrinsics.pinhole()
         self.renderer = Renderer(self.client, pinhole, near_m)
         try:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
@@ -253,8 +254,11 @@ class World:
             shape = part.height, part.width
             return np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
         step = ceil(max(part.width, part.height) / self.body.drawn_px) if region else 1
-        if self._lens is not None:
-            region, u, v = self._lens.source(part, intrinsics)
+        if self._undistorted:
+            u, v = (each[part.part] for each in self._undistorted)
+            ends_px = np.array([[u.min(), v.min()], [u.max(), v.max()]])
+            region = Region.around(ends_px).grown(2, intrinsics)
+            u, v = u - region.u0, v - region.v0
         view = region.view(intrinsics) if region else intrinsics
         rgb, depth_m = self.renderer.render(camera, region, step)
         jacobians = self._jacobians(self.joint_states()[0])
@@ -275,9 +279,8 @@ class World:
             linear, angular = linear @ camera.rotation, angular @ camera.rotation
             poses = exposed(pose, linear, angular, config.exposure_s)
             self.object.paint(rgb, depth_m, view, poses, rng)
-        if self._lens is not None:
-            rgb = cv2.remap(rgb, u, v, cv2.INTER_LINEAR)
-            return rgb, cv2.remap(depth_m, u, v, cv2.INTER_NEAREST)
+        if self._undistorted:
+            return cv2.remap(rgb, u, v, cv2.INTER_LINEAR), np.zeros(u.shape, np.float32)
         if step > 1:  # for a detector that takes no depths
             return rgb, depth_m
         depth_m = add_depth_noise(depth_m, intrinsics.fx, rng, config.depth_noise)
@@ -306,8 +309,9 @@ class World:
         mount = self.zero_link.rotation @ self._mount
         carried = kind.of_body(self._zero_position_m, mount)
         if not kind.rigid:
-            first, *others = self.body.points_m @ mount.T
-            carried = np.concatenate([carried + first, *(other - first for other in others)])
+            ways_m = self.body.points_m @ mount.T
+            ways_m[1:] -= ways_m[0]
+            carried = np.append(carried + ways_m[0], ways_m[1:])
         zeros = np.zeros(len(self._joints))
         linear, axes = (jacobian.T for jacobian in self._jacobians(zeros))
         points_m = self._zero_position_m + np.cross(axes, linear)

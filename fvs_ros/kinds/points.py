@@ -16,15 +16,7 @@ import numpy as np
 
 from fvs_ros.kinds.kind import Kind
 from fvs_ros.params import parameter
-from fvs_ros.topics import (
-    COLLECTOR,
-    CONTROLLER,
-    DEMO,
-    ESTIMATOR,
-    SIM,
-    kind_topics,
-    message_class,
-)
+from fvs_ros.topics import COLLECTOR, CONTROLLER, DEMO, ESTIMATOR, SIM, kind_topics, message_class
 
 _COUNT = 1
 
@@ -71,8 +63,6 @@ class Points(Kind):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.on_arm:
-            raise ValueError("image points are seen by a camera that stands in the room")
         for name in ("columns", "axes"):
             object.__setattr__(self, name, _names(self.points))
 

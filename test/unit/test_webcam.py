@@ -9,7 +9,6 @@ from drawn_balls import RADIUS_M, VGA, draw
 
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detectors import make_detector
-from fvs_detector_node.images import Region
 from fvs_detector_node.tags import Tag
 from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.kinds.points import Points
@@ -54,13 +53,11 @@ def test_noise_is_in_pixels_and_nothing_is_reported_out_of_the_picture():
 
 
 def test_a_pinhole_image_shows_where_each_pixel_of_a_lens_comes_from():
-    lens = Lens(640, 480, 500.0, 500.0, 300.0, 250.0, -0.25)
-    pinhole = lens.pinhole
-    part, u, v = lens.source(Region(0, 400, 50, 80), pinhole)
-    rays = part.view(pinhole).rays(u, v)
-    expected = np.stack(np.meshgrid(np.arange(50), np.arange(400, 480)), axis=-1)
-    np.testing.assert_allclose(lens.project(rays), expected, atol=1e-3)
-    assert Region.whole(pinhole).contains(part)
+    lens = Lens(640, 480, 500.0, 500.0, 300.0, 250.0, -0.2)
+    pinhole, u, v = lens.pinhole()
+    expected = np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1)
+    np.testing.assert_allclose(lens.project(pinhole.rays(u, v)), expected, atol=1e-3)
+    assert pinhole.contains(np.stack([u, v], axis=-1))
 
 
 def test_a_ball_that_is_half_hidden_keeps_its_centre_and_a_square_has_none():
@@ -78,7 +75,9 @@ def test_a_ball_that_is_half_hidden_keeps_its_centre_and_a_square_has_none():
 
 
 def test_a_count_that_nothing_has_is_refused():
-    with pytest.raises(ValueError, match=r"4 corners are on a single, 1 is a ball's centre"):
+    with pytest.raises(ValueError, match="1 is a ball's, 4 are the tags', not 3"):
         make_detector(DetectorConfig(feature="points", points=Points(3)))
     with pytest.raises(ValueError, match="not seen from an object"):
         Simulation(SimConfig(feature="points", object_tag_id=9)).close()
+    with pytest.raises(ValueError, match="camera in the room"):
+        make_detector(DetectorConfig(feature="points", camera_mount="arm"))
