@@ -146,9 +146,9 @@ class TagsConfig(MountConfig):
             return self.feature
         if self.kind.on_arm:
             raise ValueError("camera_mount: image points are seen by a camera in the room")
-        points, corners = self.points.points, 4 * len(self.tag.faces)
+        points, corners = self.points.point_count, 4 * len(self.tag.faces)
         if points not in (1, corners):
-            raise ValueError(f"points: 1 is a ball's, {corners} are the tags', not {points}")
+            raise ValueError(f"point_count: 1 is a ball's, {corners} are the tags', not {points}")
         return "ball" if points == 1 else "pose"
 
     @property

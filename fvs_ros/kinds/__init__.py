@@ -10,7 +10,7 @@ from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.kind import FIXED, MOUNTS, ErrorText, Kind
 from fvs_ros.kinds.points import Points
 from fvs_ros.kinds.pose import Pose
-from fvs_ros.params import Parameters, parameter, parts_of
+from fvs_ros.params import ParameterError, Parameters, parameter, parts_of
 
 __all__ = ["BODIES", "KINDS", "BodyConfig", "ErrorText", "Kind", "KindConfig", "MountConfig"]
 
@@ -52,6 +52,8 @@ class KindConfig(MountConfig, KindParameters):
     def kind(self) -> Kind:
         """The kind of feature."""
         kind: Kind = getattr(self, self.feature)
+        if self.camera_mount != FIXED and not kind.rigid:
+            raise ParameterError(f"camera_mount: {kind.name} are seen by a camera in the room")
         return replace(kind, camera_mount=self.camera_mount)
 
 

@@ -39,7 +39,7 @@ _TOPICS = kind_topics(
 
 @dataclass(frozen=True)
 class Points(Kind):
-    """``points`` image points of one camera."""
+    """Some image points of one camera."""
 
     name, what = "points", "pattern"
     columns = axes = _names(_COUNT)
@@ -52,7 +52,7 @@ class Points(Kind):
         object_truth=replace(_TOPICS.object_truth, publishers=(), subscribers=()),
     )
 
-    points: int = parameter(_COUNT, "Count of the image points; for points.", 1, 64)
+    point_count: int = parameter(_COUNT, "Count of the image points; for points.", 1, 64)
     pixel_m: float = parameter(
         0.005,
         "Length that a pixel counts as, m; for points. Limits and gains of lengths then hold for "
@@ -64,7 +64,7 @@ class Points(Kind):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("columns", "axes"):
-            object.__setattr__(self, name, _names(self.points))
+            object.__setattr__(self, name, _names(self.point_count))
 
     @classmethod
     def of_numbers(cls, count: int, camera_mount: str) -> Points:
@@ -76,12 +76,12 @@ class Points(Kind):
     @cached_property
     def unit(self) -> np.ndarray:
         """The length of a pixel, m, (d,)."""
-        return np.full(2 * self.points, self.pixel_m)
+        return np.full(2 * self.point_count, self.pixel_m)
 
     @property
     def freedom(self) -> int:
         """That of a rigid body, three at most of one point and five of two."""
-        return min(self.size, {1: 3, 2: 5}.get(self.points, 6))
+        return min(self.size, {1: 3, 2: 5}.get(self.point_count, 6))
 
     def along(self, chain: Any, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The pixels, (m,), and their Jacobian, m/rad, (d, n), by a chain before a webcam."""
@@ -95,8 +95,8 @@ class Points(Kind):
     def read(self, message: Any) -> np.ndarray:
         """Points of a ``PolygonStamped``, px, (m,)."""
         points = message.polygon.points
-        if len(points) != self.points:
-            raise ValueError(f"has {len(points)} points, expected {self.points}")
+        if len(points) != self.point_count:
+            raise ValueError(f"has {len(points)} points, expected {self.point_count}")
         return self.checked(np.array([(point.x, point.y) for point in points]).ravel())
 
     def write(self, message: Any, z: np.ndarray) -> None:

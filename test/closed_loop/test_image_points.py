@@ -25,7 +25,9 @@ def test_seven_joints_bring_four_points_to_a_target(law):
     chain = SerialChain(axes, first + 0.3 * near, np.append(first, WAYS_M), np.zeros(7))
     model, kind = PixelChain(chain, Webcam(600.0, (320.0, 240.0), -0.2)), Points(4)
     names = [f"joint_{i + 1}" for i in range(7)]
-    values = default_values(feature="points", points=4, law=law, autostart=True, joint_names=names)
+    values = default_values(
+        feature="points", point_count=4, law=law, autostart=True, joint_names=names
+    )
     servo, joints, waiting = ServoLoop(values), np.zeros(7), deque()
     target, wrong = model.position(rng.uniform(-0.2, 0.2, 7)), 1.0 + ERROR * rng.normal(size=(8, 7))
     for tick in range(1, 700):
