@@ -68,6 +68,8 @@ class LoneNode:
         self.harness, self.name, self.namespace = harness, name, f"/{namespace}"
         parameters = parameters_of(name)
         overrides = {**ALONE.get(name, {}), **overrides}
+        if overrides.get("feature") == "points":
+            overrides.pop("object_tag_id", None)  # which are not relative to an object
         self.declared, self.values = {p.name: p for p in parameters}, parameters.values(overrides)
         self.client = AsyncParameterClient(harness.node, self.resolve("~"))
         self.arguments = ros_arguments({"__ns": self.namespace}, **overrides)
