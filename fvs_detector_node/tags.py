@@ -136,16 +136,13 @@ class TagsConfig(MountConfig):
     @cached_property
     def kind(self) -> Kind:
         """Of what is seen."""
-        kind = self.points if self.feature == Points.name else KINDS[self.feature]()
-        return replace(kind, camera_mount=self.camera_mount)
+        return self.mounted(self.points if self.feature == Points.name else KINDS[self.feature]())
 
     @property
     def carries(self) -> str:
         """The kind of body that is seen, by the feature that it usually has."""
         if self.kind.rigid:
             return self.feature
-        if self.kind.on_arm:
-            raise ValueError("camera_mount: image points are seen by a camera in the room")
         points, corners = self.points.point_count, 4 * len(self.tag.faces)
         if points not in (1, corners):
             raise ValueError(f"point_count: 1 is a ball's, {corners} are the tags', not {points}")

@@ -41,6 +41,12 @@ class MountConfig(Parameters):
         choices=MOUNTS,
     )
 
+    def mounted(self, kind: Kind) -> Kind:
+        """A kind as this camera sees it; a ``ParameterError`` if it cannot."""
+        if self.camera_mount != FIXED and not kind.rigid:
+            raise ParameterError(f"camera_mount: {kind.name} are seen by a camera in the room")
+        return replace(kind, camera_mount=self.camera_mount)
+
 
 @dataclass(frozen=True)
 class KindConfig(MountConfig, KindParameters):
@@ -51,10 +57,7 @@ class KindConfig(MountConfig, KindParameters):
     @cached_property
     def kind(self) -> Kind:
         """The kind of feature."""
-        kind: Kind = getattr(self, self.feature)
-        if self.camera_mount != FIXED and not kind.rigid:
-            raise ParameterError(f"camera_mount: {kind.name} are seen by a camera in the room")
-        return replace(kind, camera_mount=self.camera_mount)
+        return self.mounted(getattr(self, self.feature))
 
 
 @dataclass(frozen=True)
