@@ -21,8 +21,9 @@ from fvs_estimator_node.joint_path import MAX_OFFSET_S, STILL_RAD, behind_play
 from fvs_estimator_node.pairs import Pairs, Progress, TrainingError, ridge_weights
 from fvs_estimator_node.pixel_fit import WEBCAM_FIGURES, PixelFit, fit_pixels
 from fvs_estimator_node.rbf import RbfModel, rbf_features
+from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind
-from fvs_ros.pixel_chain import AnyChain, PixelChain
+from fvs_ros.pixel_chain import AnyChain
 
 #: Each method with its usual number of neurons, which cost little where samples are free.
 METHODS = {"varpro": 50, "ridge": 50, "poe": 100}
@@ -205,7 +206,7 @@ def distil(
 
 def learned(chain: AnyChain, joints_rad: np.ndarray) -> np.ndarray:
     """What networks learn of a chain at joints, rad, (k, n): its Jacobian, or its twists."""
-    if isinstance(chain, PixelChain) or not chain.on_arm:
+    if not isinstance(chain, SerialChain) or not chain.on_arm:
         return chain.jacobian(joints_rad)
     twists = np.concatenate(chain.motion(joints_rad)[1:], axis=-1)
     return np.swapaxes(twists, -1, -2)

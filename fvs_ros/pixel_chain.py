@@ -9,6 +9,7 @@ The chain carries K points of its last link, in the camera's frame and up to sca
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -94,7 +95,7 @@ class PixelChain:
     """A chain that carries points, and the lens through which they are seen.
 
     It answers as a :class:`~fvs_ros.chain.SerialChain` whose feature are the pixels, (m,), point by
-    point, u then v. Several cameras are as many of these: their scales differ.
+    point, u then v.
 
     Parameters
     ----------
@@ -142,7 +143,60 @@ class PixelChain:
         return self.position_and_jacobian(joints_rad)[1]
 
 
-AnyChain = SerialChain | PixelChain
+@dataclass(frozen=True)
+class PixelChains:
+    """One arm before several webcams, a chain for each: their scales differ.
+
+    It answers as a :class:`PixelChain` whose pixels are those of all, camera by camera.
+
+    Parameters
+    ----------
+    each : tuple of PixelChain
+        Of each camera.
+    blind : tuple of int
+        Cameras that do not count now: their pixels stay at 0.
+    """
+
+    each: tuple[PixelChain, ...]
+    blind: tuple[int, ...] = ()
+    lens: ClassVar[np.ndarray] = np.zeros(2)
+
+    @property
+    def play_rad(self) -> np.ndarray:
+        """Play of each joint, rad (m), (n,)."""
+        return self.each[0].play_rad
+
+    @property
+    def joints(self) -> int:
+        """Count of joints, n."""
+        return self.each[0].joints
+
+    @property
+    def numbers(self) -> int:
+        """Count of numbers of the feature, m."""
+        return sum(chain.numbers for chain in self.each)
+
+    def position(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The pixels, (..., m), at joints, rad, (..., n)."""
+        return self._counted([chain.position(joints_rad) for chain in self.each], -1)
+
+    def position_and_jacobian(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The pixels, (..., m), and their Jacobian, px/rad, (..., m, n), at joints, (..., n)."""
+        pixels, jacobians = zip(
+            *(chain.position_and_jacobian(joints_rad) for chain in self.each), strict=True
+        )
+        return self._counted(pixels, -1), self._counted(jacobians, -2)
+
+    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The Jacobian, px/rad, (..., m, n), at joints, rad, (..., n)."""
+        return self.position_and_jacobian(joints_rad)[1]
+
+    def _counted(self, parts: Sequence[np.ndarray], axis: int) -> np.ndarray:
+        counted = [np.zeros_like(part) if i in self.blind else part for i, part in enumerate(parts)]
+        return np.concatenate(counted, axis=axis)
+
+
+AnyChain = SerialChain | PixelChain | PixelChains
 
 
 def points_of(carried: np.ndarray) -> np.ndarray:

@@ -18,6 +18,8 @@ _TWISTS = np.eye(6)
 _NEAREST_M = 1e-3
 #: Values of the parameter ``camera_mount``.
 FIXED, ON_ARM = MOUNTS = ("fixed", "arm")
+#: Name of the usual camera.
+UNNAMED = ""
 
 
 @dataclass(frozen=True)
@@ -67,9 +69,30 @@ class Kind(Parameters):
     camera_mount: str = field(default=FIXED, kw_only=True)
 
     @classmethod
-    def of_numbers(cls, count: int, camera_mount: str) -> Kind:
+    def of_numbers(
+        cls, count: int, camera_mount: str, cameras: tuple[str, ...] = (UNNAMED,)
+    ) -> Kind:
         """The kind with the usual parameters of which a file may hold ``count`` numbers."""
+        if cameras != (UNNAMED,):
+            raise ValueError(f"a {cls.name} is seen by one camera, got {cameras}")
         return cls(camera_mount=camera_mount)
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the cameras that see it; one without a name has topics without a prefix."""
+        return (UNNAMED,)
+
+    @property
+    def parts(self) -> tuple[Kind, ...]:
+        """What each camera measures: a measurement is theirs, one after the other."""
+        return (self,)
+
+    @cached_property
+    def rows(self) -> tuple[slice, ...]:
+        """Which numbers of a measurement, and components of a motion, are of each camera."""
+        count = len(self.cameras)
+        size = self.size // count
+        return tuple(slice(i * size, (i + 1) * size) for i in range(count))
 
     @property
     def on_arm(self) -> bool:
@@ -122,9 +145,22 @@ class Kind(Parameters):
         return len(self.axes)
 
     @property
+    def any_frame(self) -> bool:
+        """Whether its messages may name any frame, as their topic says which camera they are of."""
+        return self.cameras != (UNNAMED,)
+
+    @property
     def freedom(self) -> int:
         """Most components of a motion that an arm can move independently."""
         return self.size
+
+    def possible(self, jacobian: np.ndarray) -> np.ndarray:
+        """The nearest Jacobian, (d, n), of no more motions than an arm can make."""
+        freedom = self.freedom
+        if freedom >= min(jacobian.shape):
+            return jacobian
+        u, values, v = np.linalg.svd(jacobian, full_matrices=False)
+        return np.asarray((u[:, :freedom] * values[:freedom]) @ v[:freedom])
 
     # ---- messages: any object with the fields of the message's type --------------------------
 

@@ -1,28 +1,41 @@
-"""Image points of one camera, px: what a tracker finds, without depth and calibration.
+"""Image points of webcams, px: what a tracker finds, without depth and calibration.
 
-z is u and v of one point after the other. Nothing is known of how they move under a twist: their
-Jacobian is learned as it is, by networks, or by a chain before a webcam. A pixel counts as the
-length ``pixel_m``: by default, a tracker's noise of 0.3 px as a ball's of 1.5 mm, so that limits,
-gates and holds are as many deviations of the one as of the other.
+z is u and v of one point after the other, camera by camera. Nothing is known of how they move under
+a twist: their Jacobian is learned as it is, by networks, or by a chain before each webcam. A pixel
+counts as the length ``pixel_m``: by default, a tracker's noise of 0.3 px as a ball's of 1.5 mm, so
+that limits, gates and holds are as many deviations of the one as of the other.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from fvs_ros.kinds.kind import Kind
-from fvs_ros.params import parameter
-from fvs_ros.topics import COLLECTOR, CONTROLLER, DEMO, ESTIMATOR, SIM, kind_topics, message_class
+from fvs_ros.kinds.kind import UNNAMED, Kind
+from fvs_ros.params import ParameterError, parameter
+from fvs_ros.topics import (
+    COLLECTOR,
+    CONTROLLER,
+    DEMO,
+    ESTIMATOR,
+    SIM,
+    KindTopics,
+    kind_topics,
+    message_class,
+)
 
 _COUNT = 1
+#: Most cameras, and what their names are made of: those of topics.
+_MOST_CAMERAS, _NAME = 4, re.compile("[A-Za-z][A-Za-z0-9_]*")
 
 
-def _names(count: int) -> tuple[str, ...]:
-    return tuple(f"{axis}{i + 1}" for i in range(count) for axis in "uv")
+def _names(count: int, camera: str = "") -> tuple[str, ...]:
+    prefix = f"{camera}_" if camera else ""
+    return tuple(f"{prefix}{axis}{i + 1}" for i in range(count) for axis in "uv")
 
 
 _TOPICS = kind_topics(
@@ -39,7 +52,7 @@ _TOPICS = kind_topics(
 
 @dataclass(frozen=True)
 class Points(Kind):
-    """Some image points of one camera."""
+    """Some image points, of one camera or of several."""
 
     name, what = "points", "pattern"
     columns = axes = _names(_COUNT)
@@ -60,23 +73,51 @@ class Points(Kind):
         1e-5,
         0.1,
     )
+    cameras: tuple[str, ...] = parameter(
+        (UNNAMED,),
+        "Names of the cameras, such as left and right, whose image points are on left/image_points "
+        "and right/image_points; for points. One without a name has no prefix.",
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("columns", "axes"):
-            object.__setattr__(self, name, _names(self.point_count))
+        cameras = self.cameras
+        named = all(map(_NAME.fullmatch, cameras)) and len(set(cameras)) == len(cameras)
+        if cameras != (UNNAMED,) and not (named and 1 <= len(cameras) <= _MOST_CAMERAS):
+            raise ParameterError(
+                f"cameras: expected up to {_MOST_CAMERAS} different names of letters, digits and "
+                f"_, got {list(cameras)}"
+            )
+        names = [name for camera in cameras for name in _names(self.point_count, camera)]
+        for attribute in ("columns", "axes"):
+            object.__setattr__(self, attribute, tuple(names))
+        if len(cameras) == 1 and self.any_frame:
+            usual = type(self).topics
+            mine = KindTopics(*(replace(each, name=f"{cameras[0]}/{each.name}") for each in usual))
+            object.__setattr__(self, "topics", mine._replace(sliding=usual.sliding))
+
+    @cached_property
+    def parts(self) -> tuple[Points, ...]:
+        """The points of each camera."""
+        return tuple(replace(self, cameras=(camera,)) for camera in self.cameras)
 
     @classmethod
-    def of_numbers(cls, count: int, camera_mount: str) -> Points:
-        """Half as many points as numbers."""
-        if count % 2:
-            raise ValueError(f"image points have an even count of numbers, got {count}")
-        return cls(count // 2, camera_mount=camera_mount)
+    def of_numbers(
+        cls, count: int, camera_mount: str, cameras: tuple[str, ...] = (UNNAMED,)
+    ) -> Points:
+        """Half as many points as numbers of a camera."""
+        points, rest = divmod(count, 2 * len(cameras))
+        if rest:
+            raise ValueError(
+                f"image points of {len(cameras)} cameras have an even count of numbers each, got "
+                f"{count}"
+            )
+        return cls(points, cameras=cameras, camera_mount=camera_mount)
 
     @cached_property
     def unit(self) -> np.ndarray:
         """The length of a pixel, m, (d,)."""
-        return np.full(2 * self.point_count, self.pixel_m)
+        return np.full(2 * self.point_count * len(self.cameras), self.pixel_m)
 
     @property
     def freedom(self) -> int:
@@ -86,7 +127,7 @@ class Points(Kind):
     def along(self, chain: Any, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The pixels, (m,), and their Jacobian, m/rad, (d, n), by a chain before a webcam."""
         z, by_joint = chain.position_and_jacobian(joints_rad)
-        return z, self.unit[:, None] * by_joint
+        return z, self.possible(self.unit[:, None] * by_joint)
 
     def of_detection(self, detection: Any) -> np.ndarray:
         """Its points, px, (m,)."""

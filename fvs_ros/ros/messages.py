@@ -21,7 +21,7 @@ from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.kind import MOUNTS
-from fvs_ros.pixel_chain import AnyChain, PixelChain, Webcam
+from fvs_ros.pixel_chain import AnyChain, PixelChain, PixelChains, Webcam
 from fvs_ros.topics import message_class
 from fvs_ros.vectors import all_finite
 
@@ -83,7 +83,7 @@ def from_feature(message: Any, kind: Kind, frame: str, topic: str) -> np.ndarray
 
     A ``MessageError`` names the topic if it is in another frame than this, or not usable.
     """
-    if message.header.frame_id != frame:
+    if message.header.frame_id != frame and not kind.any_frame:
         raise MessageError(
             f"{topic} is in frame '{message.header.frame_id}', expected '{frame}' "
             "(parameter feature_frame)"
@@ -151,8 +151,14 @@ def to_chain(chain: AnyChain) -> Float64MultiArray:
     A row for each joint: the direction of its axis, a point on it, m, the joint's reference
     position, rad (m), 1 if it is prismatic, and its play, rad (m). Then the rows of the feature,
     the first with the two numbers of the lens, and 1 from a camera on the arm; and zeros. Before a
-    webcam, its numbers in a last row.
+    webcam, its numbers in a last row. Before several, so for each.
     """
+    each = chain.each if isinstance(chain, PixelChains) else (chain,)
+    rows = np.concatenate([_rows_of(chain) for chain in each])
+    return _to_matrix(rows, "joint", "axis_point_reference")
+
+
+def _rows_of(chain: SerialChain | PixelChain) -> np.ndarray:
     arm, webcam = (chain, None) if isinstance(chain, SerialChain) else (chain.chain, chain.webcam)
     joints, carried = len(arm.axes), arm.feature_m.reshape(-1, 3)
     rows = np.zeros((joints + len(carried) + (webcam is not None), _CHAIN_COLUMNS))
@@ -163,7 +169,7 @@ def to_chain(chain: AnyChain) -> Float64MultiArray:
     rows[joints, 5] = arm.on_arm
     if webcam is not None:
         rows[after, : len(webcam.numbers)] = webcam.numbers
-    return _to_matrix(rows, "joint", "axis_point_reference")
+    return rows
 
 
 def from_chain(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> AnyChain:
@@ -171,21 +177,27 @@ def from_chain(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> A
 
     A ``MessageError`` if it is none, or one of another ``camera_mount``.
     """
-    after = joints + kind.numbers // (3 if kind.rigid else 2)
-    rows = after if kind.rigid else after + 1
+    parts = kind.parts
+    after = joints + parts[0].numbers // (3 if kind.rigid else 2)
+    rows = len(parts) * (after if kind.rigid else after + 1)
     matrix = _from_matrix(message, "kinematic_chain", rows, _CHAIN_COLUMNS)
-    joint, carried = matrix[:joints], kind.nearest(matrix[joints:after, :3].ravel())
     try:
-        reference_rad, prismatic, play_rad = joint[:, 6:].T
-        lens, on_arm = matrix[joints, 3:5], bool(matrix[joints, 5])
-        if on_arm != kind.on_arm:
-            raise ValueError(f"camera_mount {MOUNTS[on_arm]}, expected {kind.camera_mount}")
-        arm = SerialChain(
-            joint[:, :3], joint[:, 3:6], carried, reference_rad, prismatic, lens, on_arm, play_rad
-        )
-        return arm if kind.rigid else PixelChain(arm, Webcam.of_numbers(matrix[after, :6]))
+        each = [_chain_of(block, joints, after, kind) for block in np.split(matrix, len(parts))]
+        return each[0] if kind.rigid else PixelChains(tuple(each))
     except ValueError as error:
         raise MessageError(f"kinematic_chain cannot be used: {error}") from error
+
+
+def _chain_of(matrix: np.ndarray, joints: int, after: int, kind: Kind) -> Any:
+    joint, carried = matrix[:joints], kind.nearest(matrix[joints:after, :3].ravel())
+    reference_rad, prismatic, play_rad = joint[:, 6:].T
+    lens, on_arm = matrix[joints, 3:5], bool(matrix[joints, 5])
+    if on_arm != kind.on_arm:
+        raise ValueError(f"camera_mount {MOUNTS[on_arm]}, expected {kind.camera_mount}")
+    arm = SerialChain(
+        joint[:, :3], joint[:, 3:6], carried, reference_rad, prismatic, lens, on_arm, play_rad
+    )
+    return arm if kind.rigid else PixelChain(arm, Webcam.of_numbers(matrix[after, :6]))
 
 
 def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:
