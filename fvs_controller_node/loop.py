@@ -144,8 +144,8 @@ class ServoLoop:
         self._unjudged.clear()
         self.supervisor.inputs[JOINT_STATES].bad(why)
 
-    def add_image(self, now_s: float, stamp_s: float, z: np.ndarray) -> None:
-        """Take a measurement in the camera's frame, (m,): its arrival and exposure, s."""
+    def add_image(self, now_s: float, stamp_s: float, z: np.ndarray, camera: int = 0) -> None:
+        """Take what a camera measured, (m,): its arrival and exposure, s."""
         if repeats(stamp_s, self._image_s):
             self.supervisor.inputs[FEATURE].stuck(now_s)
             return

@@ -12,7 +12,7 @@ from fvs_ros.filter import Image
 from fvs_ros.kinds import Kind
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.params import Parameters
-from fvs_ros.pixel_chain import AnyChain
+from fvs_ros.pixel_chain import AnyChain, PixelChain, PixelChains
 
 #: What an estimator is made from: a part of a :class:`~fvs_estimator_node.files.TrainedModel`.
 NETWORKS, CHAIN = "model", "chain"
@@ -66,7 +66,7 @@ class Estimator(ABC):
     """
 
     #: Whether :meth:`update` and :meth:`observe` can change anything.
-    learns: ClassVar[bool] = True
+    learns = True
     #: What its first argument is, if it takes one: one of the constants above.
     made_from: ClassVar[str] = ""
     #: Its parameters; a node declares them with the name of their group before each.
@@ -86,6 +86,11 @@ class Estimator(ABC):
     def problem(self) -> str:
         """Why there is no estimate yet; empty if there is one."""
         return ""
+
+    @property
+    def each(self) -> tuple[Estimator, ...]:
+        """The estimators of each camera."""
+        return (self,)
 
     @property
     def chain(self) -> AnyChain | None:
@@ -117,3 +122,42 @@ class Estimator(ABC):
         if not self.learns:
             return {}
         return {"updates": float(self.updates), "refused": float(self.refused)}
+
+
+class Estimators(Estimator):
+    """Those of several cameras, whose rows of the Jacobian do not depend on each other."""
+
+    def __init__(self, each: tuple[Estimator, ...], kind: Kind) -> None:
+        super().__init__(kind)
+        self._each, self.learns = each, each[0].learns
+
+    @property
+    def each(self) -> tuple[Estimator, ...]:
+        """The estimators of each camera."""
+        return self._each
+
+    @property
+    def problem(self) -> str:
+        """Why one of them has no estimate yet; empty if all have."""
+        return max(estimator.problem for estimator in self._each)
+
+    @property
+    def chain(self) -> AnyChain | None:
+        """Their chains; None from those that have none."""
+        chains = [estimator.chain for estimator in self._each]
+        before_webcams = tuple(chain for chain in chains if isinstance(chain, PixelChain))
+        return PixelChains(before_webcams) if before_webcams else None
+
+    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
+        """Estimate at joints, rad, (n,): m/rad, shape (d, n)."""
+        return np.concatenate([estimator.jacobian(joints_rad) for estimator in self._each])
+
+    def reset(self) -> None:
+        """Forget what was learned online."""
+        for estimator in self._each:
+            estimator.reset()
+
+    def status_values(self) -> dict[str, float]:
+        """Key numbers of all, summed."""
+        values = [estimator.status_values() for estimator in self._each]
+        return {name: sum(of[name] for of in values) for name in values[0]}

@@ -12,6 +12,7 @@ import numpy as np
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_ros.filter import Image
 from fvs_ros.interface import Backlash
+from fvs_ros.kinds import Kind
 from fvs_ros.track import Track
 from fvs_ros.vectors import all_finite, largest
 
@@ -20,6 +21,14 @@ from fvs_ros.vectors import all_finite, largest
 _MIN_STEP_RAD, _MAX_STEP_S = 0.01, 0.5
 #: Largest age of an input, s; an older sliding variable counts as zero.
 FRESH_S = 0.2
+
+
+class _Camera:
+    """What one camera has shown."""
+
+    def __init__(self, kind: Kind) -> None:
+        self.track = Track(kind)
+        self.anchor: Image | None = None  # where the present step began
 
 
 class EstimationLoop:
@@ -36,8 +45,8 @@ class EstimationLoop:
 
     Attributes
     ----------
-    track : ~fvs_ros.track.Track
-        Pairs images with joints, and judges them.
+    tracks : list of ~fvs_ros.track.Track
+        Pair the images of each camera with joints, and judge them.
     learns : bool
         Off, the estimator learns nothing.
     steps : int
@@ -46,20 +55,22 @@ class EstimationLoop:
 
     def __init__(self, estimator: Estimator) -> None:
         self.estimator, self.kind = estimator, estimator.kind
-        self.track, self._backlash = Track(self.kind), Backlash()
-        self.learns = True
+        self._backlash, self.learns = Backlash(), True
+        self._cameras = [_Camera(part) for part in self.kind.parts]
+        self.tracks = [camera.track for camera in self._cameras]
         self._forget()
 
     def reset(self) -> None:
         """Forget what was learned online, and all inputs."""
         self.estimator.reset()
-        self.track.reset()
+        self.lose_joints()
         self._forget()
 
     def _forget(self) -> None:
         self.steps = 0
         self._jacobian: np.ndarray | None = None  # the newest
-        self._anchor: Image | None = None  # where the present step began
+        for camera in self._cameras:
+            camera.anchor = None
         self._sliding: tuple[float, np.ndarray] | None = None
 
     # --- inputs ---
@@ -68,15 +79,18 @@ class EstimationLoop:
         """Take a joint state, s and rad, (n,)."""
         chain = self.estimator.chain
         joints_rad = self._backlash.joints(joints_rad, 0.0 if chain is None else chain.play_rad)
-        self._learn(self.track.add_joints(stamp_s, joints_rad, self._jacobian))
+        for camera, (track, rows) in enumerate(zip(self.tracks, self.kind.rows, strict=True)):
+            jacobian = None if self._jacobian is None else self._jacobian[rows]
+            self._learn(camera, track.add_joints(stamp_s, joints_rad, jacobian))
 
     def lose_joints(self) -> None:
         """Note a joint state that cannot be used: the joints may have jumped."""
-        self.track.reset()
+        for track in self.tracks:
+            track.reset()
 
-    def add_image(self, stamp_s: float, z: np.ndarray) -> None:
-        """Take a measurement, (m,), and its exposure, s."""
-        self._learn(self.track.add_image(stamp_s, z))
+    def add_image(self, stamp_s: float, z: np.ndarray, camera: int = 0) -> None:
+        """Take what a camera measured, (m,), and its exposure, s."""
+        self._learn(camera, self.tracks[camera].add_image(stamp_s, z))
 
     def add_sliding_variable(self, stamp_s: float, sliding_m: np.ndarray) -> None:
         """Take the controller's sliding variable, m, (d,); the newest goes into coming steps."""
@@ -88,15 +102,17 @@ class EstimationLoop:
     @property
     def problem(self) -> str:
         """Why there is no estimate yet; empty if there is one."""
-        unseen = not self.kind.flat and self.track.newest is None
+        unseen = not self.kind.flat and self.tracks[0].newest is None
         name = self.kind.feature.name
         return self.estimator.problem or (f"no {name} yet" if unseen else "")
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """Jacobian at the newest joints, rad, (n,): m/rad, (d, n)."""
-        z, newest = self.track.now(), self.track.newest
-        if z is None and newest is not None:
-            z = newest.z
+        z = None
+        if not self.kind.flat:
+            z, newest = self.tracks[0].now(), self.tracks[0].newest
+            if z is None and newest is not None:
+                z = newest.z
         jacobian = self.estimator.jacobian(joints_rad, z)
         if all_finite(jacobian):
             self._jacobian = jacobian
@@ -104,44 +120,46 @@ class EstimationLoop:
 
     def status_values(self) -> dict[str, Any]:
         """Live key numbers of pairing and method."""
-        timeline = self.track.timeline
+        timelines = [track.timeline for track in self.tracks]
         return {
             "steps_learned": self.steps,
-            "images_not_paired": timeline.dropped,
-            "last_not_paired_because": timeline.last_reason,
-            "position_noise_m": self.track.filter.noise_m,
+            "images_not_paired": sum(timeline.dropped for timeline in timelines),
+            "last_not_paired_because": max(timeline.last_reason for timeline in timelines),
+            "position_noise_m": max(track.filter.noise_m for track in self.tracks),
             **self.estimator.status_values(),
         }
 
     # --- between ---
 
-    def _learn(self, images: list[Image]) -> None:
+    def _learn(self, camera: int, images: list[Image]) -> None:
         if not (self.learns and self.estimator.learns):
             return
+        estimator, track = self.estimator.each[camera], self.tracks[camera]
         for image in images:
-            step = self._step(image)
-            self.estimator.observe(image, self.track.filter.noise_m)
+            step = self._step(camera, image)
+            estimator.observe(image, track.filter.noise_m)
             if step is not None:
-                self.estimator.update(step)
+                estimator.update(step)
                 self.steps += 1
 
-    def _step(self, image: Image) -> MotionStep | None:
-        """The step that an image completes, if it does."""
-        anchor = self._anchor
+    def _step(self, index: int, image: Image) -> MotionStep | None:
+        """The step that an image of a camera completes, if it does."""
+        camera = self._cameras[index]
+        anchor = camera.anchor
         if (
             anchor is None
             or image.run != anchor.run
             or image.stamp_s - anchor.stamp_s > _MAX_STEP_S
         ):
-            self._anchor = image
+            camera.anchor = image
             return None
         d_joints = image.joints_rad - anchor.joints_rad
         if largest(d_joints) < _MIN_STEP_RAD:
             return None
-        self._anchor = image
+        camera.anchor = image
         sliding: np.ndarray | float = 0.0
         if self._sliding and abs(image.stamp_s - self._sliding[0]) <= FRESH_S:
-            sliding = self._sliding[1]
+            sliding = self._sliding[1][self.kind.rows[index]]
         return MotionStep(
             stamp_s=image.stamp_s,
             dt_s=image.stamp_s - anchor.stamp_s,

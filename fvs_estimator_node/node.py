@@ -21,6 +21,7 @@ from fvs_estimator_node.loop import FRESH_S, EstimationLoop
 from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.kinds import Kind
 from fvs_ros.paths import find_file
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 from fvs_ros.vectors import all_finite
@@ -51,7 +52,8 @@ class EstimatorNode(ros.FvsNode):
         self._jacobian = self.publisher(topics.JACOBIAN)
         self._chain = self.publisher(topics.KINEMATIC_CHAIN)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self.subscribe(self._kind.feature, self._on_feature)
+        for camera, part in enumerate(self._kind.parts):
+            self.subscribe(part.feature, partial(self._on_feature, camera, part))
         self.subscribe(self._kind.topics.sliding, self._on_sliding)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
@@ -111,14 +113,15 @@ class EstimatorNode(ros.FvsNode):
         self._learn(self._loop.add_joints, stamp_s, joints)
         self._publish_estimate(stamp_s, joints)
 
-    def _on_feature(self, message: Any) -> None:
-        kind, frame = self._kind, self._config.feature_frame
+    def _on_feature(self, camera: int, kind: Kind, message: Any) -> None:
+        frame = self._config.feature_frame
         try:
             z = ros.from_feature(message, kind, frame, kind.feature.name)
         except ros.MessageError as error:
             self._complain(str(error))
             return
-        self._learn(self._loop.add_image, ros.from_stamp(message.header.stamp), z)
+        add = partial(self._loop.add_image, camera=camera)
+        self._learn(add, ros.from_stamp(message.header.stamp), z)
 
     def _on_sliding(self, message: Any) -> None:
         header = getattr(message, "header", None)  # not every kind's has one
@@ -201,16 +204,15 @@ class EstimatorNode(ros.FvsNode):
         state = "LEARNING" if learns else "FROZEN"
         return ros.OK, state, f"estimating; {usual}"
 
-    def _feature_age_s(self, now_s: float) -> float:
-        return self.monitor(self._kind.feature.name).age_s(now_s)
+    def _ages_s(self, now_s: float) -> dict[str, float]:
+        """Ages of the inputs, s, by topic."""
+        names = [part.feature.name for part in self._kind.parts]
+        ages_s = {name: self.monitor(name).age_s(now_s) for name in names}
+        return {topics.JOINT_STATES.name: now_s - self._joints_s, **ages_s}
 
     def _late_input(self, now_s: float) -> str:
         """Which input is late, in words; empty if none."""
-        ages_s = {
-            topics.JOINT_STATES.name: now_s - self._joints_s,
-            self._kind.feature.name: self._feature_age_s(now_s),
-        }
-        for topic, age_s in ages_s.items():
+        for topic, age_s in self._ages_s(now_s).items():
             if age_s > FRESH_S:
                 heard = "none heard yet" if np.isinf(age_s) else f"the last is {age_s:.1f} s old"
                 return f"waiting for {topic}: {heard}"
@@ -225,8 +227,7 @@ class EstimatorNode(ros.FvsNode):
             reason,
             {
                 "method": self._config.method,
-                "joint_states_age_s": now_s - self._joints_s,
-                f"{self._kind.feature.name}_age_s": self._feature_age_s(now_s),
+                **{f"{name}_age_s": age_s for name, age_s in self._ages_s(now_s).items()},
                 **self._loop.status_values(),
             },
         )

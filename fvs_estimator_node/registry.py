@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from fvs_estimator_node.base import CHAIN, Estimator
+from fvs_estimator_node.base import CHAIN, Estimator, Estimators
 from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
 from fvs_estimator_node.files import TrainedModel
 from fvs_estimator_node.on_arm import OnArmPoeEstimator
@@ -16,6 +16,7 @@ from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator
 from fvs_ros.joints import JOINT_PARAMETERS
 from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.params import Parameter, live_parameter, parameter
+from fvs_ros.pixel_chain import PixelChains
 
 ESTIMATORS: dict[str, type[Any]] = {
     "rbf": RbfEstimator,
@@ -88,8 +89,23 @@ def create_estimator(
                 f"estimator method {method} needs a trained {part}: set model_path to a file that "
                 f"{by} has written"
             )
-    estimator: Estimator = made_by(source, config, kind)
-    return estimator
+    if kind is None or len(kind.parts) == 1:
+        estimator: Estimator = made_by(source, config, kind)
+        return estimator
+    return Estimators(
+        tuple(
+            made_by(_of_camera(source, i, rows), config, part)
+            for i, (part, rows) in enumerate(zip(kind.parts, kind.rows, strict=True))
+        ),
+        kind,
+    )
+
+
+def _of_camera(source: Any, camera: int, rows: slice) -> Any:
+    """The part of networks or chains that is one camera's."""
+    if isinstance(source, PixelChains):
+        return source.each[camera]
+    return source and replace(source, weights=source.weights[:, rows])
 
 
 #: Parameters of the methods, each group once, in the order of the registry.

@@ -137,5 +137,5 @@ def test_no_step_across_a_rest_a_gap_a_jump_of_the_joints_or_of_the_clock():
 def test_images_of_a_clock_that_is_behind_or_stands_make_no_step_and_it_says_so(stamp, words):
     loop = EstimationLoop(Recorder())
     assert play(loop, 0.0, 4.0, steadily, image_stamp=stamp) == []
-    assert loop.track.timeline.dropped > 100
-    assert words in loop.track.timeline.last_reason
+    assert loop.tracks[0].timeline.dropped > 100
+    assert words in loop.tracks[0].timeline.last_reason
