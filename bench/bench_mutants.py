@@ -137,9 +137,9 @@ def takes_any_frame():
     """The controller takes every target for one in the camera's frame."""
     on_target = ControllerNode._on_target
 
-    def take(self, message):
+    def take(self, message, camera=0):
         message.header.frame_id = CAMERA_FRAME
-        on_target(self, message)
+        on_target(self, message, camera)
 
     return mock.patch.object(ControllerNode, "_on_target", take)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import inf, isfinite
 from statistics import median
 
@@ -134,19 +134,23 @@ class Inbox:
     def __init__(self, config: SupervisorConfig, end_session: Callable[[Finding], None]) -> None:
         self._config, self._end_session = config, end_session
         kind = config.kind
+        #: Inputs of the cameras.
+        self.features = tuple(f"{FEATURE} {name}".strip() for name in kind.cameras)
+        seen = f"is the {kind.what} in view, and the detector running?"
         hints = {
             JOINT_STATES: ("is the robot driver (or simulator) running?", "joint_states_max_age_s"),
-            FEATURE: (f"is the {kind.what} in view, and the detector running?", "ball_max_age_s"),
+            **dict.fromkeys(self.features, (seen, "ball_max_age_s")),
             JACOBIAN: ("is the estimator running?", "jacobian_max_age_s"),
             OBJECT: ("is the object in view, and its detector running?", "ball_max_age_s"),
             **dict.fromkeys((SPEED_SCALING, ROBOT_DESCRIPTION), ()),
         }
-        names = {FEATURE: kind.feature.name, OBJECT: kind.topics.object.name}
+        features = zip(self.features, (part.feature.name for part in kind.parts), strict=True)
+        names = {OBJECT: kind.topics.object.name, **dict(features)}
         self._monitors = {
             key: InputMonitor(config, names.get(key, key), *words) for key, words in hints.items()
         }
-        self[FEATURE].slow_s = MAX_LATENCY_S  # longer, none is predicted
-        self[OBJECT].slow_s = MAX_LATENCY_S
+        for name in (*self.features, OBJECT):
+            self[name].slow_s = MAX_LATENCY_S  # longer, none is predicted
         self[OBJECT].needed = False
         self._conflict: Finding | None = None  # with another node, and when it commanded last
         self._conflict_s = -inf
@@ -167,12 +171,15 @@ class Inbox:
     # ---- messages ---------------------------------------------------------------------------
 
     def add(self, name: str, now_s: float, values: np.ndarray) -> bool:
-        """Take joints, (n,), rad, feature or object, (m,), or Jacobian, (d, n); False if bad."""
+        """Take joints, (n,), rad, a camera's feature or object, (m,), or Jacobian, (d, n).
+
+        False if bad.
+        """
         values, kind = np.asarray(values, dtype=float), self._config.kind
-        n = len(self._config.joint_names)
-        shape = {JOINT_STATES: (n,), JACOBIAN: (kind.size, n)}.get(name, (kind.numbers,))
+        n, weights = len(self._config.joint_names), kind.parts[0].weights
+        shape = {JOINT_STATES: (n,), JACOBIAN: (kind.size, n)}.get(name, weights.shape)
         fits = values.shape == shape
-        if fits and plausible(kind.weights * values if name in (FEATURE, OBJECT) else values):
+        if fits and plausible(values if name in (JOINT_STATES, JACOBIAN) else weights * values):
             self[name].good(now_s)
             return True
         wanted = " x ".join(map(str, shape))
@@ -212,7 +219,8 @@ class Inbox:
 
     def find(self, now_s: float) -> Finding | None:
         """Find what is wrong with the inputs now, worst first."""
-        troubles = self._troubles(now_s)
+        lost = [self.features[camera] for camera in self.lost(now_s)]
+        troubles = self._troubles(now_s, but=lost)
         # What must stop at once comes before a conflict, in which the arm may ramp to rest.
         findings = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
         findings += self._pauses
@@ -221,12 +229,19 @@ class Inbox:
         findings += troubles
         return findings[0] if findings else None
 
+    def lost(self, now_s: float) -> list[int]:
+        """Cameras that have fallen silent while another sees: they do not count."""
+        found = [self[name].find(now_s) for name in self.features]
+        silent = Reason.STALE, Reason.RETURNING
+        lost = [i for i, finding in enumerate(found) if finding and finding.reason in silent]
+        return lost if None in found else []
+
     def late(self, now_s: float) -> str:
         """The first fault in age or content of all messages but an object's; empty if fresh."""
-        return next((finding.text for finding in self._troubles(now_s, but=OBJECT)), "")
+        return next((finding.text for finding in self._troubles(now_s, but=[OBJECT])), "")
 
-    def _troubles(self, now_s: float, but: str = "") -> list[Finding]:
-        findings = [self[name].find(now_s) for name in self._monitors if name != but]
+    def _troubles(self, now_s: float, but: Sequence[str]) -> list[Finding]:
+        findings = [self[name].find(now_s) for name in self._monitors if name not in but]
         return [finding for finding in findings if finding is not None]
 
     @property
@@ -241,7 +256,10 @@ class Inbox:
         return min(self._speed_scaling, 100.0) / 100.0
 
     def hidden(self, now_s: float) -> str:
-        """That an object is hidden and its last place counts, in words; empty if it is seen."""
+        """That an object is hidden, or a camera is lost, and what counts; empty if neither is."""
+        for camera in self.lost(now_s):
+            feature = self[self.features[camera]]
+            return f"{feature.name} is {feature.age_s(now_s):.1f} s old: the other cameras count"
         monitor, age_s = self[OBJECT], self[OBJECT].age_s(now_s)
         if not (monitor.needed and monitor.late(now_s)) or monitor.find(now_s) is not None:
             return ""
@@ -250,7 +268,7 @@ class Inbox:
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Ages and the robot's reports, always the same keys in the same order."""
         of_object = [OBJECT] * (not self._config.kind.on_arm)  # else it is the feature
-        watched = [self[name] for name in (JOINT_STATES, FEATURE, JACOBIAN, *of_object)]
+        watched = [self[name] for name in (JOINT_STATES, *self.features, JACOBIAN, *of_object)]
         ages = {f"{monitor.name}_age_s": monitor.age_s(now_s) for monitor in watched}
         running = {None: "unknown", False: "false", True: "true"}[self._program_running]
         return {

@@ -6,16 +6,19 @@ The node passes messages in and sends the result of ``tick``; the laboratory use
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import inf
+from dataclasses import replace
+from math import inf, nan
 from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.agreement import Agreement
+from fvs_controller_node.agreement import Verdict
 from fvs_controller_node.base import Change, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.config import ControllerConfig, SupervisorConfig, default_values, make_law
 from fvs_controller_node.drive_lag import DriveLag, brake
-from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES, OBJECT
+from fvs_controller_node.eye import Eye
+from fvs_controller_node.inbox import JACOBIAN, JOINT_STATES, OBJECT
+from fvs_controller_node.monitors import LEAST_SEEN
 from fvs_controller_node.reasons import Finding, Reason, State
 from fvs_controller_node.references import Reference
 from fvs_controller_node.relation import OBJECT_FRAME, Lens, Relation, Teacher
@@ -25,9 +28,8 @@ from fvs_ros.filter import Image
 from fvs_ros.following import LONGEST_LAG_S, Following
 from fvs_ros.interface import POSITION, Backlash
 from fvs_ros.limits import tick_s
-from fvs_ros.pixel_chain import AnyChain
+from fvs_ros.pixel_chain import AnyChain, PixelChains
 from fvs_ros.timeline import repeats
-from fvs_ros.track import Track
 from fvs_ros.vectors import largest, length
 
 #: Motion of a joint in which a measurement with noise changes, rad.
@@ -53,8 +55,8 @@ class ServoLoop:
     ----------
     law : ControlLaw
         The control law.
-    track : ~fvs_ros.track.Track
-        Follows the feature, and predicts it to now.
+    eyes : list of ~fvs_controller_node.eye.Eye
+        What each camera shows.
     supervisor : Supervisor
         The one exit.
     sliding_variable : ndarray, shape (d,), or None
@@ -67,12 +69,13 @@ class ServoLoop:
         values = default_values() if values is None else values
         self.supervisor = Supervisor(SupervisorConfig.from_values(values))
         self.kind = self.supervisor.config.kind
-        self.track, self._agreement = Track(self.kind), Agreement()
+        self.eyes = [Eye(part) for part in self.kind.parts]
+        self._blind: tuple[int, ...] = ()  # cameras that are lost while another sees
         self._drive_lag, self._following = DriveLag(), Following()
         self._backlash, self._play_rad = Backlash(), np.zeros(1)
         self._lens = Lens(self.kind)
         self._relation = Relation(self.kind, self.supervisor.goal, self._lens)
-        self._teacher = Teacher(self.kind, self._lens)
+        self._teacher = Teacher(self.kind, self._lens, [eye.last_second for eye in self.eyes])
         self._object_s: float | None = None  # stamp of the object's newest image
         self._drift, self._drift_run = TargetMotion(self.kind), -1  # of what moves by itself
         self._drift_m_s: np.ndarray | None = None  # its velocity now, (d,); None at rest
@@ -80,8 +83,6 @@ class ServoLoop:
         self._chain: AnyChain | None = None
         self._chain_s = -inf
         self._stamp_s = 0.0  # of the newest joint state
-        self._image_s: float | None = None  # stamp of the newest image
-        self._unjudged: list[Image] = []
         self._newest: Image | None = None  # accepted
         self._put_s = -inf  # when the object was put elsewhere
         #: What is measured, and the joints when that was first so.
@@ -91,6 +92,8 @@ class ServoLoop:
         self.sliding_variable: np.ndarray | None = None
         self._joints: np.ndarray | None = None
         self._jacobian: np.ndarray | None = None
+        #: Parts of targets, by their camera, until each camera has given one.
+        self._parts: dict[int, np.ndarray] = {}
         self._home: np.ndarray | None = None  # joints at the last start
 
     def configure(self, values: Mapping[str, Any]) -> None:
@@ -130,31 +133,31 @@ class ServoLoop:
         self._joints = self._drive_lag.add(stamp_s, velocity, joints, compare)
         if self._chain is not None:
             self._jacobian = self.kind.along(self._chain, self._joints)[1]
-        # Images are judged one joint state later: no tick has all of an image's work.
-        for image in self._unjudged:
-            if not self._object_moves:  # else an image that stands may be that of a moving object
-                self._agreement.add(image, self.track.filter.noise_m)
-        self._unjudged.clear()
-        self._accept(self.track.add_joints(stamp_s, self._joints, self._jacobian))
+        for eye, rows in zip(self.eyes, self.kind.rows, strict=True):
+            eye.judge()  # one joint state later: no tick has all of an image's work
+            jacobian = None if self._jacobian is None else self._jacobian[rows]
+            self._accept(eye, eye.track.add_joints(stamp_s, self._joints, jacobian))
 
     def bad_joints(self, why: str) -> None:
         """Take a joint state that cannot be used, and why."""
-        self.track.reset()  # after a jump: the feature did not move with it
-        self._agreement.restart()
-        self._unjudged.clear()
+        for eye in self.eyes:
+            eye.track.reset()  # after a jump: the feature did not move with it
+            eye.restart()
         self.supervisor.inputs[JOINT_STATES].bad(why)
 
     def add_image(self, now_s: float, stamp_s: float, z: np.ndarray, camera: int = 0) -> None:
         """Take what a camera measured, (m,): its arrival and exposure, s."""
-        if repeats(stamp_s, self._image_s):
-            self.supervisor.inputs[FEATURE].stuck(now_s)
+        eye, inputs = self.eyes[camera], self.supervisor.inputs
+        name = inputs.features[camera]
+        if repeats(stamp_s, eye.image_s):
+            inputs[name].stuck(now_s)
             return
-        self._image_s = stamp_s
+        eye.image_s = stamp_s
         if self._object_moves and self._is_frozen(z):
-            self.supervisor.inputs[FEATURE].stuck(now_s)
+            inputs[name].stuck(now_s)
             return
-        if self.supervisor.inputs.add(FEATURE, now_s, z):
-            self._accept(self.track.add_image(stamp_s, z))
+        if inputs.add(name, now_s, z):
+            self._accept(eye, eye.track.add_image(stamp_s, z))
 
     def _is_frozen(self, z: np.ndarray) -> bool:
         """Whether the arm has moved, and what it measures stays the same to the last digit."""
@@ -165,16 +168,15 @@ class ServoLoop:
             return False
         return largest(joints - then) > _MOVED_RAD
 
-    def _accept(self, images: list[Image]) -> None:
+    def _accept(self, eye: Eye, images: list[Image]) -> None:
         if images:
             if self.kind.on_arm:
                 self._look_for_another_place(images[0])
                 self._newest = images[-1]
-            self._unjudged += images
-            for image in images:
-                self._teacher.tool.add(image.stamp_s, image.z)
-                if self._object_moves:
-                    self._add_drift(image)
+            # An image that stands may be that of a moving object.
+            eye.add(images, judged=not self._object_moves)
+            for image in images if self._object_moves else []:
+                self._add_drift(image)
             self._new_image = True
             self._note(Change.MEASUREMENT)
 
@@ -190,8 +192,7 @@ class ServoLoop:
         moved_m = image.moved_m - last.moved_m
         if length(image.seen_m - last.seen_m - moved_m) > 2.0 * length(moved_m):
             self._put_s = image.stamp_s
-            self._agreement.restart()
-            self._unjudged.clear()
+            self.eyes[0].restart()
             self.supervisor.goal.progress.restart()
 
     def _add_drift(self, image: Image) -> None:
@@ -241,7 +242,8 @@ class ServoLoop:
         """Take the Jacobian, (d, n), m/rad, and its arrival; while a chain comes, it gives it."""
         inputs, max_age_s = self.supervisor.inputs, self.supervisor.config.jacobian_max_age_s
         if inputs.add(JACOBIAN, now_s, jacobian) and now_s - self._chain_s > max_age_s:
-            self._chain, self._jacobian = None, np.array(jacobian, dtype=float)
+            self._chain = None
+            self._jacobian = self.kind.possible(np.array(jacobian, dtype=float))
 
     def add_chain(self, now_s: float, chain: AnyChain) -> None:
         """Take the arm as the camera sees it now, and its arrival; it gives the Jacobian.
@@ -253,14 +255,24 @@ class ServoLoop:
 
     # ---- the target ---------------------------------------------------------------------------
 
-    def add_target(self, z: np.ndarray, frame: str, stamp_s: float = 0.0) -> tuple[bool, str]:
-        """Take a target, (m,); one that is updated often moves.
+    def add_target(
+        self, z: np.ndarray, frame: str, stamp_s: float = 0.0, camera: int | None = None
+    ) -> tuple[bool, str]:
+        """Take a target, (m,), or a camera's part of one; one that is updated often moves.
 
-        In the frame ``object`` it is relative to the object. A stamp (s; 0 for now) says when it
-        was there, on the clock of the joint states. The answer is the supervisor's: see
+        Of parts, the target is set once each camera has given one since the last. In the frame
+        ``object`` it is relative to the object. A stamp (s; 0 for now) says when it was there, on
+        the clock of the joint states. The answer is the supervisor's: see
         :meth:`~fvs_controller_node.goal.Goal.set`.
         """
         there_s = on_own_clock(stamp_s, self._stamp_s)
+        if camera is not None:
+            self._parts[camera] = z
+            parts = [self._parts.get(i) for i in range(len(self.eyes))]
+            wanted = [part for part in parts if part is not None]
+            if len(wanted) < len(parts):
+                return True, "target: the other cameras' parts are still to come"
+            z, self._parts = np.concatenate(wanted), {}
         if frame == OBJECT_FRAME and self.kind.on_arm:
             z = self._lens.measured(self.kind.inverse(z))
             frame = self.supervisor.config.feature_frame
@@ -324,11 +336,11 @@ class ServoLoop:
         late = self.supervisor.inputs.late(now_s)
         if late:
             return False, f"target refused: {late}"
-        z = self.track.now()
-        if z is None:
+        shown = [z for eye in self.eyes if (z := eye.track.now()) is not None]
+        if len(shown) < len(self.eyes):
             return False, f"target refused: the {self.kind.what}'s position is not known yet"
         self._be_relative_to_object(None)
-        return self._set_target(z, self.supervisor.config.feature_frame)
+        return self._set_target(np.concatenate(shown), self.supervisor.config.feature_frame)
 
     def _set_target(self, *target: Any) -> tuple[bool, str]:
         goal = self.supervisor.goal
@@ -383,23 +395,62 @@ class ServoLoop:
         if self._feeds_forward:
             self.supervisor.goal.move_on(self._stamp_s)
         if self._home is None:  # motion before this start must not count
-            self._agreement.restart()
+            for eye in self.eyes:
+                eye.agreement.restart()
         drift_m, self._drift_m_s = None, None
         if self._object_moves:
             _, drift_m, self._drift_m_s = self._drift.at(self._stamp_s)
         if self._drift_m_s is None or not self._drift_m_s.any():
             drift_m = self._drift_m_s = None
-        z = self.track.now(drift_m)
+        z = self._now(now_s, drift_m)
+        seeing = len(self.eyes) - len(self._blind)
         return Present(
             joints_rad=self._joints,
             z=z,
-            jacobian=self._jacobian,
+            jacobian=self._counted,
             pending_rad=self._drive_lag.pending_rad,
+            freedom=min(self.kind.freedom, seeing * self.kind.parts[0].size),
             drift_m_s=self._drift_m_s,
-            problem=self.track.problem if z is None else "",
-            verdict=self._agreement.verdict,
+            problem="" if z is not None else max(eye.track.problem for eye in self.eyes),
+            verdict=self._verdict,
             not_following=self._following.fault,
         )
+
+    @property
+    def _counted(self) -> np.ndarray | None:
+        """The Jacobian, (d, n), without what a camera that is lost would see."""
+        if self._jacobian is None or not self._blind:
+            return self._jacobian
+        counted = self._jacobian.copy()
+        for i in self._blind:
+            counted[self.kind.rows[i]] = 0.0
+        return counted
+
+    @property
+    def _verdict(self) -> Verdict | None:
+        """The worst of the cameras that see; None while too little moved."""
+        eyes = [eye for i, eye in enumerate(self.eyes) if i not in self._blind]
+        verdicts = [eye.agreement.verdict for eye in eyes if eye.agreement.verdict is not None]
+        follows = [(each.seen_share >= LEAST_SEEN, -each.error_ratio, each) for each in verdicts]
+        return min(follows)[-1] if follows else None
+
+    def _now(self, now_s: float, drift_m: np.ndarray | None) -> np.ndarray | None:
+        """The feature now, (m,); a camera that is lost while another sees shows what is wanted."""
+        shown = [eye.track.now(drift_m) for eye in self.eyes]
+        if len(shown) == 1:
+            return shown[0]
+        lost = self.supervisor.inputs.lost(now_s)
+        blind = tuple(i for i, z in enumerate(shown) if z is None or i in lost)
+        blind = blind if len(blind) < len(shown) else ()
+        if blind != self._blind:
+            self._blind, goal = blind, self.supervisor.goal
+            goal.progress.restart()  # the error is another one
+            self._note(Change.TARGET)
+        target = self.supervisor.goal.target
+        for i in blind:
+            shown[i] = None if target is None else target[self.kind.rows[i]]
+        known = [z for z in shown if z is not None]
+        return np.concatenate(known) if len(known) == len(shown) else None
 
     def _ask(self, present: Present, dt_s: float) -> tuple[Finding | None, ControlOutput | None]:
         """The law's output, or what is wrong with it."""
@@ -413,7 +464,8 @@ class ServoLoop:
             output = checked(self._propose(present, last, dt_s), len(last), self.kind.size)
         except Exception as error:  # whatever a law does wrong
             finding = Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}")
-        if output is not None and self.track.filter.outliers:  # no joint speeds up or turns back
+        doubted = any(eye.track.filter.outliers for eye in self.eyes)
+        if output is not None and doubted:  # no joint speeds up or turns back
             wanted = np.clip(output.velocity_rad_s, np.minimum(last, 0.0), np.maximum(last, 0.0))
             output = output._replace(velocity_rad_s=wanted)
         if output is not None and self._new_image:
@@ -437,6 +489,9 @@ class ServoLoop:
         assert error_m is not None
         if self._home is None:
             self._home = joints
+        chain = self._chain
+        if self._blind and isinstance(chain, PixelChains):
+            chain = replace(chain, blind=self._blind)
         error_m = error_m + jacobian.dot(present.pending_rad)
         feed_forward = None
         velocity_m_s = goal.velocity_m_s
@@ -455,7 +510,7 @@ class ServoLoop:
             joints_rad=joints + present.pending_rad,
             dt_s=dt_s,
             home_rad=self._home,
-            chain=self._chain,
+            chain=chain,
             change=self._change,
             feed_forward_rad_s=feed_forward,
             kind=self.kind,
@@ -469,11 +524,12 @@ class ServoLoop:
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Return the supervisor's key numbers, and the images' latency."""
-        latency_s = self.track.latency_s
+        tracks = [eye.track for eye in self.eyes]
+        latencies_s = [nan if track.latency_s is None else track.latency_s for track in tracks]
         return {
             **self.supervisor.status_values(now_s),
-            "image_latency_s": float("nan") if latency_s is None else latency_s,
-            "position_noise_m": self.track.filter.noise_m,
-            "position_deviation_m": self.track.filter.deviation_m,
+            "image_latency_s": max(latencies_s),
+            "position_noise_m": max(track.filter.noise_m for track in tracks),
+            "position_deviation_m": max(track.filter.deviation_m for track in tracks),
             "drive_lag_s": self._drive_lag.lag_s,
         }

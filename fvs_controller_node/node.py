@@ -19,13 +19,15 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from fvs_controller_node.config import PARAMETERS
-from fvs_controller_node.inbox import FEATURE, JACOBIAN, JOINT_STATES, OBJECT, ROBOT_DESCRIPTION
+from fvs_controller_node.inbox import JACOBIAN, JOINT_STATES, OBJECT, ROBOT_DESCRIPTION
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.references import References
+from fvs_controller_node.relation import OBJECT_FRAME
 from fvs_controller_node.supervisor import Command
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.kinds import Kind
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _NEVER_RAN = "no robot_program_running yet: start the robot program if the arm does not move"
@@ -75,17 +77,19 @@ class ControllerNode(ros.FvsNode):
         self._joints: np.ndarray | None = None
         self._sliding = self.publisher(self._kind.topics.sliding)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        add_tool = partial(self._on_image, FEATURE, self._loop.add_image)
-        self.subscribe(self._kind.feature, add_tool)
-        add_object = partial(self._on_image, OBJECT, self._loop.add_object)
-        if not self._kind.on_arm:
+        parts, features = self._kind.parts, self._loop.supervisor.inputs.features
+        for camera, (part, name) in enumerate(zip(parts, features, strict=True)):
+            add_image = partial(self._loop.add_image, camera=camera)
+            self.subscribe(part.feature, partial(self._on_image, name, part, add_image))
+            # A latched target is heard twice.
+            self.subscribe(part.topics.target, partial(self._on_target, camera=camera))
+        if not self._kind.on_arm and len(parts) == 1:
+            add_object = partial(self._on_image, OBJECT, self._kind, self._loop.add_object)
             self.subscribe(self._kind.topics.object, add_object)
         self.subscribe(topics.JACOBIAN, self._on_jacobian)
-        if self._kind.rigid:
-            self.subscribe(topics.KINEMATIC_CHAIN, self._on_chain)
+        self.subscribe(topics.KINEMATIC_CHAIN, self._on_chain)
         self.subscribe(topics.ESTIMATOR_STATUS, self._on_estimator_status)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
-        self.subscribe(self._kind.topics.target, self._on_target)  # a latched one is heard twice
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         description = self._loop.supervisor.inputs[ROBOT_DESCRIPTION]
         self._limits = ros.LimitsReader(self, self._take_limits, description.bad)
@@ -122,10 +126,10 @@ class ControllerNode(ros.FvsNode):
                 self._joints = joints
         self._ticker.on_joint_state(now_s, stamp_s)
 
-    def _on_image(self, name: str, add: Callable[..., None], message: Any) -> None:
+    def _on_image(self, name: str, kind: Kind, add: Callable[..., None], message: Any) -> None:
         now_s, monitor = self.now_s(), self._loop.supervisor.inputs[name]
         try:
-            z = ros.from_feature(message, self._kind, self._frame, monitor.name)
+            z = ros.from_feature(message, kind, self._frame, monitor.name)
         except ros.MessageError as error:
             monitor.bad(str(error))
             return
@@ -151,8 +155,8 @@ class ControllerNode(ros.FvsNode):
         idle = values.get("state") in (ESTIMATOR_WAITING, ESTIMATOR_FAULT)
         supervisor.inputs[JACOBIAN].set_source_status(now_s, message.message if idle else "")
 
-    def _on_target(self, message: Any) -> None:
-        kind, now_s, frame = self._kind, self.now_s(), message.header.frame_id
+    def _on_target(self, message: Any, camera: int = 0) -> None:
+        kind, now_s, frame = self._kind.parts[camera], self.now_s(), message.header.frame_id
         try:  # in its own frame: the goal refuses another one
             target = ros.from_feature(message, kind, frame, kind.topics.target.name)
         except ros.MessageError as error:
@@ -160,7 +164,7 @@ class ControllerNode(ros.FvsNode):
             self.tell(ros.WARN, self._refusal)
             return
         stamp_s = ros.from_stamp(message.header.stamp)
-        heard = (*target.tolist(), stamp_s, frame)
+        heard = (camera, *target.tolist(), stamp_s, frame)
         # Latched samples arrive twice, and again whenever the publisher is rediscovered: they must
         # not undo a newer target. Without a stamp (`ros2 topic pub`) only an immediate echo counts.
         soon = now_s - self._heard_target_s < _TARGET_ECHO_S
@@ -170,7 +174,9 @@ class ControllerNode(ros.FvsNode):
         self._heard_target_s = now_s
         if again:
             return
-        accepted, text = self._loop.add_target(target, frame, stamp_s)
+        if kind.any_frame and frame != OBJECT_FRAME:
+            frame = self._frame
+        accepted, text = self._loop.add_target(target, frame, stamp_s, camera)
         self._refusal = "" if accepted else text
         if not (accepted and soon):  # a moving target would flood the log
             self.tell(ros.OK if accepted else ros.WARN, text)
@@ -304,7 +310,7 @@ class ControllerNode(ros.FvsNode):
         unheard = not self.monitor(topics.ROBOT_PROGRAM_RUNNING.name).count
         self._silence = _NEVER_RAN if unheard and self.count_publishers(topic) else ""
         inputs, self._crowded = self._loop.supervisor.inputs, ""
-        for name in (inputs[key].name for key in (FEATURE, OBJECT, JACOBIAN)):
+        for name in (inputs[key].name for key in (*inputs.features, OBJECT, JACOBIAN)):
             count = self.count_publishers(self.resolve_topic_name(name))
             if count > 1:
                 self._crowded = f"{name} has {count} publishers: stop all but one"

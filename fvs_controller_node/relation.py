@@ -125,18 +125,22 @@ class Relation:
 
 
 class Teacher:
-    """Averages tool and object over the last second in which each was seen."""
+    """Averages tool and object over the last second in which each was seen.
 
-    def __init__(self, kind: Kind, lens: Lens) -> None:
+    ``tool`` is what each camera shows of the tool.
+    """
+
+    def __init__(self, kind: Kind, lens: Lens, tool: list[LastSecond]) -> None:
         self._kind, self._lens = kind, lens
-        self.tool, self.object = LastSecond(kind), LastSecond(kind)
+        self._tool, self.object = tool, LastSecond(kind)
 
     def teach(self, relative: bool) -> tuple[np.ndarray, float]:
         """Where the tool is, (m,), in the object's frame or the camera's, and its deviation, m.
 
         A ``ValueError`` says why that is not known well.
         """
-        z, deviation_m = self.tool.mean(self._kind.feature.name)
+        means = [seen.mean(seen.kind.feature.name) for seen in self._tool]
+        z, deviation_m = np.concatenate([z for z, _ in means]), max(m for _, m in means)
         if self._kind.on_arm:
             return self._kind.inverse(self._lens.true(z)), deviation_m
         if not relative:
@@ -150,7 +154,7 @@ class LastSecond:
     """The images of the last second of tool or object."""
 
     def __init__(self, kind: Kind) -> None:
-        self._kind = kind
+        self.kind = kind
         self._images = deque[tuple[float, np.ndarray]](maxlen=256)
 
     def add(self, stamp_s: float, z: np.ndarray) -> None:
@@ -166,7 +170,7 @@ class LastSecond:
         """Whether it was at rest when it was seen last."""
         with suppress(ValueError):
             z, deviation_m = self.mean("")
-            off_m = largest(self._kind.minus(self._images[-1][1], z))
+            off_m = largest(self.kind.minus(self._images[-1][1], z))
             return off_m <= OUTLIER * deviation_m * len(self._images) ** 0.5 + GATE_M
         return False
 
@@ -178,7 +182,7 @@ class LastSecond:
                 f"{count} images of {name} in the last second, expected {_TEACH_IMAGES}"
             )
         images = [z for _, z in self._images]
-        steps_m = np.array([self._kind.minus(z, images[-1]) for z in images])
+        steps_m = np.array([self.kind.minus(z, images[-1]) for z in images])
         # Without a few outliers: further from the median than noise in any coordinate.
         off_m = np.abs(steps_m - np.median(steps_m, axis=0))
         near = np.all(off_m <= OUTLIER * _MAD * np.median(off_m, axis=0) + GATE_M, axis=1)
@@ -190,7 +194,7 @@ class LastSecond:
         first_m, second_m = steps_m[: count // 2].mean(axis=0), steps_m[count // 2 :].mean(axis=0)
         drift_m = float(np.sqrt(np.mean((second_m - first_m) ** 2)))
         if drift_m > OUTLIER * np.sqrt(4.0 * noise_m2 / count) + 1e-9:
-            moved = self._kind.length_text(2.0 * drift_m, 1)
+            moved = self.kind.length_text(2.0 * drift_m, 1)
             raise ValueError(f"{name} moved by {moved} in the last second")
-        mean = self._kind.retract(images[-1], steps_m.mean(axis=0))
+        mean = self.kind.retract(images[-1], steps_m.mean(axis=0))
         return mean, float(np.sqrt(noise_m2 / count))

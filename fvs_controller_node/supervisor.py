@@ -44,6 +44,7 @@ class Present(NamedTuple):
     verdict: Verdict | None = None  #: on seen and predicted motion; None while too little moved
     not_following: TrackingFault | None = None  #: the joint that does not follow its command
     drift_m_s: np.ndarray | None = None  #: the feature's own velocity, (d,); None at rest
+    freedom: int | None = None  #: most motions that an arm can make as the cameras see it now
 
 
 class Command(NamedTuple):
@@ -174,7 +175,7 @@ class Supervisor:
         jacobian = present.jacobian
         self.goal.see(present.z, dt_s, self.last.state is State.SERVOING)
         if jacobian is not None and jacobian is not before.jacobian:
-            values = singular_values(jacobian)[: self.config.kind.freedom]
+            values = singular_values(jacobian)[: present.freedom]
             self._smallest_m_rad = float(values[-1])
         finding = self._objection(now_s)
         if finding is not None:
@@ -208,7 +209,8 @@ class Supervisor:
             why = self._present.problem or "no image is usable yet"
             return Reason.NO_POSITION.because(what=self.config.kind.what, why=why)
         if self.goal.target is None:
-            return Reason.NO_TARGET.because(name=self.config.kind.topics.target.name)
+            names = (part.topics.target.name for part in self.config.kind.parts)
+            return Reason.NO_TARGET.because(name=" and ".join(names))
         return self._singularity.check(self._smallest_m_rad, self.config)
 
     def _trouble_in_motion(self, dt_s: float) -> Finding | None:

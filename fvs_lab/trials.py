@@ -216,7 +216,7 @@ class Trial:
         loop = ClosedLoop(simulation, estimator, {"law": scheme.law, **scheme.controller_values})
         loop.estimation.learns = self.learns
         if not self.predicts:
-            loop.loop.track = LastImage(loop.kind)
+            loop.loop.eyes[0].track = LastImage(loop.kind)
         return loop
 
 

@@ -1,47 +1,145 @@
-"""Image points before a webcam, servoed by a chain or by Jacobians that err."""
+"""Image points before webcams, servoed by chains or by Jacobians that err."""
 
 from collections import deque
 
 import numpy as np
+import pytest
 from cases import each
 
 from fvs_controller_node.config import default_values
 from fvs_controller_node.loop import ServoLoop
+from fvs_controller_node.reasons import Reason
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds.points import Points
-from fvs_ros.pixel_chain import PixelChain, Webcam
+from fvs_ros.pixel_chain import PixelChain, PixelChains, Webcam
+from fvs_ros.rotations import rotation_from_vector
 
-DT_S, IMAGE_TICKS, LATE_TICKS, NOISE_PX, ERROR = 0.008, 4, 5, 0.3, 0.03
+DT_S, NOISE_PX, ERROR = 0.008, 0.3, 0.03
 WAYS_M = 0.1 * np.array([[1.0, 0.0, 0.5], [0.0, 1.0, -0.5], [-1.0, 0.6, 0.3]])
+#: Of each camera: ticks from image to image, and how many an image is late.
+EVERY, LATE = (4, 6), (5, 9)
+ASIDE = rotation_from_vector(np.array([0.0, 1.2, 0.0]))
+
+
+class Loop:
+    """An arm of some joints with some points, before some webcams, in lock step."""
+
+    def __init__(self, joints, points, cameras, **values):
+        self.rng = np.random.default_rng(2)
+        first = np.array([0.1, -0.1, 1.5])
+        axes, near = self.rng.normal(size=(2, joints, 3))
+        carried = np.append(first, WAYS_M[: points - 1])
+        arm = SerialChain(axes, first + 0.3 * near, carried, np.zeros(joints))
+        aside = arm.moved(ASIDE, np.array([0.0, 0.0, 1.5]) - ASIDE @ [0.0, 0.0, 1.5])
+        lenses = Webcam(600.0, (320.0, 240.0), -0.2), Webcam(500.0, (300.0, 250.0), -0.1)
+        self.webcams = tuple(map(PixelChain, (arm, aside), lenses))[: len(cameras)]
+        self.model, self.kind = PixelChains(self.webcams), Points(points, cameras=tuple(cameras))
+        names = [f"joint_{i + 1}" for i in range(joints)]
+        self.values = default_values(
+            **{"feature": "points", "point_count": points, "cameras": list(cameras)},
+            **{"autostart": True, "joint_names": names, **values},
+        )
+        self.servo, self.joints, self.tick = ServoLoop(self.values), np.zeros(joints), 0
+        self.wrong = 1.0 + ERROR * self.rng.normal(size=(self.kind.size, joints))
+        self.waiting = [deque() for _ in cameras]
+
+    def run(self, ticks, covered=(), measured=None):
+        """Let time pass; returns the reasons that were given."""
+        reasons = set()
+        for _ in range(ticks):
+            self.tick += 1
+            now_s = 10.0 + DT_S * self.tick
+            for i, (webcam, waiting) in enumerate(zip(self.webcams, self.waiting, strict=True)):
+                if self.tick % EVERY[i] == 0 and i not in covered:
+                    z = webcam.position(self.joints)
+                    z = z + NOISE_PX * self.rng.normal(size=z.size)
+                    waiting.append((self.tick + LATE[i], now_s, z))
+                if waiting and waiting[0][0] <= self.tick:
+                    _, stamp_s, z = waiting.popleft()
+                    z = z if measured is None else measured(i, z)
+                    self.servo.add_image(now_s, stamp_s, z, i)
+            if self.values["law"] == "minimum_time":
+                self.servo.add_chain(now_s, self.model)
+            jacobian = self.wrong * self.kind.along(self.model, self.joints)[1]
+            self.servo.add_jacobian(now_s, jacobian)
+            self.servo.add_joints(now_s, now_s, self.joints)
+            command = self.servo.tick(now_s, DT_S)
+            reasons.add(command.reason)
+            self.joints = self.joints + DT_S * command.velocity_rad_s
+        return reasons
+
+    def give(self, goal_rad):
+        """Give the pictures at joints as target, camera by camera."""
+        z = self.model.position(goal_rad)
+        for camera, rows in enumerate(self.kind.rows):
+            assert self.servo.add_target(z[rows], CAMERA_FRAME, camera=camera)[0]
+        return z
 
 
 @each("law", ["minimum_time", "ftsm", "proportional"])
 def test_seven_joints_bring_four_points_to_a_target(law):
     """More pixels than joints, and more joints than a body has ways to move."""
-    rng = np.random.default_rng(2)
-    first = np.array([0.1, -0.1, 1.5])
-    axes, near = rng.normal(size=(2, 7, 3))
-    chain = SerialChain(axes, first + 0.3 * near, np.append(first, WAYS_M), np.zeros(7))
-    model, kind = PixelChain(chain, Webcam(600.0, (320.0, 240.0), -0.2)), Points(4)
-    names = [f"joint_{i + 1}" for i in range(7)]
-    values = default_values(
-        feature="points", point_count=4, law=law, autostart=True, joint_names=names
-    )
-    servo, joints, waiting = ServoLoop(values), np.zeros(7), deque()
-    target, wrong = model.position(rng.uniform(-0.2, 0.2, 7)), 1.0 + ERROR * rng.normal(size=(8, 7))
-    for tick in range(1, 700):
-        now_s = 10.0 + DT_S * tick
-        if tick == 50:
-            assert servo.add_target(target, CAMERA_FRAME)[0]
-        if tick % IMAGE_TICKS == 0:
-            z = model.position(joints) + NOISE_PX * rng.normal(size=8)
-            waiting.append((tick + LATE_TICKS, now_s, z))
-        if waiting and waiting[0][0] == tick:
-            servo.add_image(now_s, *waiting.popleft()[1:])
-        if law == "minimum_time":
-            servo.add_chain(now_s, model)
-        servo.add_jacobian(now_s, wrong * kind.along(model, joints)[1])
-        servo.add_joints(now_s, now_s, joints)
-        joints = joints + DT_S * servo.tick(now_s, DT_S).velocity_rad_s
-    np.testing.assert_allclose(model.position(joints), target, atol=1.0)
+    loop = Loop(7, 4, [""], law=law)
+    loop.run(50)
+    target = loop.give(loop.rng.uniform(-0.2, 0.2, 7))
+    loop.run(650)
+    np.testing.assert_allclose(loop.model.position(loop.joints), target, atol=1.0)
+
+
+@each("law", ["minimum_time", "ftsm", "proportional"])
+def test_two_webcams_bring_a_point_to_a_place_in_space(law):
+    """Four numbers of a point, whose Jacobian has errors in a direction that no arm can move."""
+    loop = Loop(6, 1, ["left", "right"], law=law)
+    loop.run(50)
+    goal_rad = loop.rng.uniform(-0.2, 0.2, 6)
+    target = loop.give(goal_rad)
+    reasons = loop.run(600)
+    assert reasons <= {Reason.READY, Reason.SERVOING, Reason.SETTLED}
+    np.testing.assert_allclose(loop.model.position(loop.joints), target, atol=1.0)
+    place, wanted = (loop.webcams[0].chain.position(q) for q in (loop.joints, goal_rad))
+    assert np.linalg.norm(place - wanted) < 3e-3
+
+
+@each("law", ["minimum_time", "ftsm"])
+def test_a_webcam_that_is_lost_leaves_the_task_with_the_other(law):
+    loop = Loop(6, 1, ["left", "right"], law=law)
+    loop.run(50)
+    target = loop.give(loop.rng.uniform(-0.2, 0.2, 6))
+    loop.run(30)
+    reasons = loop.run(500, covered=[1])
+    assert reasons <= {Reason.SERVOING, Reason.SETTLED}
+    left = loop.kind.rows[0]
+    np.testing.assert_allclose(loop.model.position(loop.joints)[left], target[left], atol=1.0)
+    inputs, now_s = loop.servo.supervisor.inputs, 10.0 + DT_S * loop.tick
+    assert "right/image_points is" in inputs.hidden(now_s)
+    assert not loop.servo.set_current_as_target(now_s)[0]
+    loop.run(500)  # it sees again
+    np.testing.assert_allclose(loop.model.position(loop.joints), target, atol=1.0)
+
+
+def test_the_arm_rests_while_no_webcam_sees_and_without_all_at_first():
+    loop = Loop(6, 1, ["left", "right"])
+    assert loop.run(100, covered=[1]) == {Reason.MISSING}
+    loop.run(50)
+    loop.give(loop.rng.uniform(-0.2, 0.2, 6))
+    loop.run(30)
+    loop.run(40, covered=[0, 1])
+    before = loop.joints
+    assert loop.run(20, covered=[0, 1]) == {Reason.STALE}
+    np.testing.assert_array_equal(loop.joints, before)
+
+
+@pytest.mark.parametrize("camera", [0, 1])
+def test_a_webcam_with_a_bad_or_a_frozen_picture_stops_the_arm(camera):
+    loop = Loop(6, 1, ["left", "right"])
+    loop.run(50)
+    loop.give(loop.rng.uniform(-0.2, 0.2, 6))
+    loop.run(10)
+    assert Reason.BAD_INPUT in loop.run(9, measured=lambda i, z: z + [np.nan, 0.0][i != camera])
+    loop = Loop(6, 1, ["left", "right"])
+    loop.run(50)
+    loop.give(np.full(6, 0.3))
+    frozen = loop.webcams[camera].position(loop.joints)
+    reasons = loop.run(200, measured=lambda i, z: frozen if i == camera else z)
+    assert reasons & {Reason.IMAGE_NOT_FOLLOWING, Reason.PREDICTION_ERROR}

@@ -124,7 +124,7 @@ def test_the_noise_of_images_is_learned_and_not_thrown_back_at_the_arm(
     commands, errors_m = run(loop, target_m, 2.0)
     assert np.sqrt(np.mean(np.square(errors_m))) < 0.5 * noise_m
     assert np.abs(commands).max() < 0.1
-    assert loop.loop.track.filter.noise_m == pytest.approx(noise_m, rel=0.3)
+    assert loop.loop.eyes[0].track.filter.noise_m == pytest.approx(noise_m, rel=0.3)
 
 
 # ---- from target to target the joints do not turn away without end ----------------------------
@@ -177,7 +177,7 @@ def test_no_joint_speeds_up_while_the_newest_image_is_in_doubt():
         if tick == 10:
             simulation.camera = simulation.camera.moved(np.array([0.0, 0.05, 0.0]))
         velocity = loop.tick().velocity_rad_s
-        if loop.loop.track.filter.outliers:
+        if loop.loop.eyes[0].track.filter.outliers:
             doubtful += 1
             assert np.all(np.abs(velocity) <= np.abs(before))
             assert np.all(velocity * before >= 0.0)

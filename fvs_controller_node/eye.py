@@ -1,0 +1,52 @@
+"""What one camera shows: paired with the joints, predicted to now, and judged."""
+
+from __future__ import annotations
+
+from fvs_controller_node.agreement import Agreement
+from fvs_controller_node.relation import LastSecond
+from fvs_ros.filter import Image
+from fvs_ros.kinds import Kind
+from fvs_ros.track import Track
+
+
+class Eye:
+    """One camera.
+
+    Parameters
+    ----------
+    kind : Kind
+        What it measures, m numbers that move in d ways.
+
+    Attributes
+    ----------
+    track : ~fvs_ros.track.Track
+        Follows the feature, and predicts it to now.
+    agreement : Agreement
+        Whether it follows the arm.
+    last_second : LastSecond
+        For teaching.
+    image_s : float or None
+        Stamp of its newest image.
+    """
+
+    def __init__(self, kind: Kind) -> None:
+        self.track, self.agreement, self.last_second = Track(kind), Agreement(), LastSecond(kind)
+        self.image_s: float | None = None
+        self._unjudged: list[Image] = []
+
+    def restart(self) -> None:
+        """Compare what is seen with the arm's motion from now on."""
+        self.agreement.restart()
+        self._unjudged.clear()
+
+    def judge(self) -> None:
+        """Judge the images that were accepted since the last call."""
+        for image in self._unjudged:
+            self.agreement.add(image, self.track.filter.noise_m)
+        self._unjudged.clear()
+
+    def add(self, images: list[Image], judged: bool) -> None:
+        """Take images that were accepted; not to be judged, if what they show may move itself."""
+        self._unjudged += images if judged else []
+        for image in images:
+            self.last_second.add(image.stamp_s, image.z)
