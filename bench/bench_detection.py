@@ -30,7 +30,7 @@ POSE = CAMERAS[CONFIG.camera]
 def images(poses):
     """Render noise-free VGA images of the ball at joints near home; its position, m, with each."""
     world = World(CONFIG)
-    renderer = Renderer(world.client, CONFIG.intrinsics)
+    renderer = Renderer(world.client, CONFIG.lens())
     for offset_rad in poses:
         world.reset(np.add(HOME_JOINTS_RAD, offset_rad))
         world.place_bodies()
@@ -44,8 +44,8 @@ def accuracy(poses, noise):
     offsets_rad = np.array(TRAINING_BOX_RAD) * rng.uniform(-1, 1, (poses, len(TRAINING_BOX_RAD)))
     errors_mm, detector = [], BallDetector(DetectorConfig())
     for rgb, depth_m, ball_m in images(offsets_rad):
-        measured_m = add_depth_noise(depth_m, CONFIG.intrinsics.fx, rng, noise)
-        ball = detector.detect_in(0.0, rgb, measured_m, CONFIG.intrinsics).detection
+        measured_m = add_depth_noise(depth_m, CONFIG.lens().fx, rng, noise)
+        ball = detector.detect_in(0.0, rgb, measured_m, CONFIG.lens()).detection
         if ball is not None and ball.visible_fraction > 0.97:
             errors_mm.append(1e3 * np.linalg.norm(ball.position_m - ball_m))
     return np.array(errors_mm)
@@ -54,11 +54,11 @@ def accuracy(poses, noise):
 def one_image(repeats):
     """CPU time, ms, of decoding a colour and a depth image and tracking the ball."""
     ((rgb, depth_m, _),) = images([0.0])
-    depth_m = add_depth_noise(depth_m, CONFIG.intrinsics.fx, np.random.default_rng(0))
+    depth_m = add_depth_noise(depth_m, CONFIG.lens().fx, np.random.default_rng(0))
     color = to_image(0.0, "", rgb, "rgb8")
     depth = to_image(0.0, "", np.round(1e3 * depth_m).astype(np.uint16), "16UC1")
     detector, frame = BallDetector(DetectorConfig()), count()
-    camera = CameraModel(CONFIG.intrinsics)
+    camera = CameraModel(CONFIG.lens())
     spent_ms = []
     for _ in range(repeats):
         begin_s = time.process_time()

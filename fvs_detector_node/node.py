@@ -26,7 +26,6 @@ from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.ros.images import from_color, from_depth
 from fvs_ros.ros.inputs import ArrivalMonitor
-from fvs_ros.topics import CAMERA_PREFIXES
 
 WAITING, TRACKING, LOST, FAULT = "WAITING", "TRACKING", "LOST", "FAULT"
 #: Time without messages after which an input is missing, s; the slowest cameras have 5 Hz.
@@ -47,6 +46,8 @@ class DetectorNode(ros.FvsNode):
         super().__init__("fvs_detector_node", PARAMETERS)
         self._config = DetectorConfig.from_values(self.values)
         self._kind = self._config.kind
+        if len(self._kind.cameras) > 1:
+            raise ValueError("cameras: a detector takes one; start a detector for each")
         self._detector = make_detector(self._config)
         self._outputs = {self._detector: self.publisher(self._kind.feature)}
         object_detector = make_object_detector(self._config)
@@ -63,8 +64,7 @@ class DetectorNode(ros.FvsNode):
         self._logged, self._logged_s = "", self.now_s()
 
         self._annotated = self.publisher(topics.ANNOTATED_IMAGE)
-        prefix = self._config.camera_topics or CAMERA_PREFIXES[0]
-        self._topics = self._topics_below(prefix)
+        self._topics = self._possible_topics()[0]
         self._subscribed: dict[str, tuple[Any, QoSProfile]] = {}
         self._subscribe()
         self.create_timer(1.0, self._find_camera, clock=self.steady_clock)
@@ -72,20 +72,18 @@ class DetectorNode(ros.FvsNode):
 
     # --- inputs ---
 
-    def _topics_below(self, prefix: str) -> dict[str, str]:
-        """The camera's topics below a prefix, by what they hold."""
-        declared = {
-            "colour": topics.COLOR_IMAGE,
-            "depth": topics.DEPTH_IMAGE,
-            "info": topics.CAMERA_INFO,
-        }
-        return {name: topics.camera_names(each, prefix)[0] for name, each in declared.items()}
+    def _possible_topics(self) -> list[dict[str, str]]:
+        """Names that the camera's topics may have, by what they hold."""
+        prefix, camera = self._config.camera_topics, self._kind.cameras[0]
+        declared = topics.COLOR_IMAGE, topics.DEPTH_IMAGE, topics.CAMERA_INFO
+        names = [topics.camera_names(each, prefix, camera) for each in declared]
+        whats = "colour", "depth", "info"
+        return [dict(zip(whats, each, strict=True)) for each in zip(*names, strict=True)]
 
     def _find_camera(self) -> None:
-        """Search the usual prefixes if none is set and the present one has no publisher."""
-        if not self._config.camera_topics and not self._publishers_of(self._topics["colour"]):
-            for prefix in CAMERA_PREFIXES:
-                names = self._topics_below(prefix)
+        """Search all possible names if the present ones have no publisher."""
+        if not self._publishers_of(self._topics["colour"]):
+            for names in self._possible_topics():
                 if self._publishers_of(names["colour"]):
                     self._topics, self._camera = names, None
         self._subscribe()

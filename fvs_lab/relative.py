@@ -76,9 +76,9 @@ class Scene(Simulation):
 
     config: View
 
-    def look(self) -> Observation:
+    def look(self, number: int = 0) -> Observation:
         """Expose an image."""
-        image, view = super().look(), self.config
+        image, view = super().look(number), self.config
         if view.rendered:
             return image
         z = view.shown(image.z, view.tool_print)
@@ -126,7 +126,8 @@ def sees(
     tool, angular, linear_m = robot.motion(joints_rad)
     if np.linalg.svd(KIND.moved_by(tool, angular, linear_m), compute_uv=False)[-1] < 0.08:
         return False
-    size_px = np.array([view.intrinsics.width, view.intrinsics.height])
+    lens = view.lens()
+    size_px = np.array([lens.width, lens.height])
     for pose, tag in ((tool, view.tag), (object_z, view.object_tag)):
         assert tag is not None
         z = seen_from(camera, pose)
@@ -135,7 +136,7 @@ def sees(
         points_m = corners_m @ rotation.T + z[:3]
         if -rotation[:, 2] @ z[:3] < 0.5 * np.linalg.norm(z[:3]) or points_m[:, 2].min() < 0.3:
             return False
-        points_px = view.intrinsics.project(points_m)
+        points_px = lens.project(points_m)
         if points_px.min() < 10.0 or (points_px > size_px - 10.0).any():
             return False
     return True

@@ -119,7 +119,7 @@ def _views(runs: Results):
         simulation.reset(case.goal_rad)
         image = photo(simulation)
         trails = [
-            simulation.intrinsics.project(run["series"]["feature_m"][:: round(0.1 / 0.008)])
+            simulation.views[0].lens.project(run["series"]["feature_m"][:: round(0.1 / 0.008)])
             for run in group
         ]
         points = np.concatenate(trails)
@@ -128,7 +128,7 @@ def _views(runs: Results):
             axis.imshow(image)
             axis.plot(*trail.T, "o-", color="white", markersize=5.5, linewidth=2.6)
             axis.plot(*trail.T, "o-", markersize=4, linewidth=1.2, **_look(run))
-            target = simulation.intrinsics.project(np.array(run["target_m"]))
+            target = simulation.views[0].lens.project(np.array(run["target_m"]))
             axis.plot(*target, "+", color="white", markersize=13, markeredgewidth=2)
             axis.set(xlim=(u - 160, u + 160), ylim=(v + 120, v - 120), xticks=[], yticks=[])
             axis.set(title=run["scheme"], ylabel=case.name)

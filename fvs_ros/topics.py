@@ -224,10 +224,20 @@ ROBOT_DESCRIPTION = Topic(
 CAMERA_PREFIXES = ("camera", "camera/camera")
 
 
-def camera_names(topic: Topic, prefix: str) -> list[str]:
-    """Possible names of a camera's topic: below a prefix, or, if that is empty, the usual ones."""
-    used_prefixes = (prefix.rstrip("/"),) if prefix else CAMERA_PREFIXES
-    return [topic.name.replace(CAMERA_PREFIXES[0], used, 1) for used in used_prefixes]
+def camera_names(topic: Topic, prefix: str, camera: str = "") -> list[str]:
+    """Possible names of a camera's topic.
+
+    They are below a prefix, or, if that is empty, the usual ones, of a named camera below its name.
+    """
+    if prefix:
+        return [topic.name.replace(CAMERA_PREFIXES[0], prefix.rstrip("/"), 1)]
+    usual = [topic.name.replace(CAMERA_PREFIXES[0], used, 1) for used in CAMERA_PREFIXES]
+    return [f"{camera}/{name}" if camera else name for name in usual]
+
+
+def of_camera(topic: Topic, camera: str) -> Topic:
+    """The topic of a named camera, below its name."""
+    return replace(topic, name=f"{camera}/{topic.name}") if camera else topic
 
 
 COLOR_IMAGE = Topic(

@@ -55,10 +55,12 @@ class RigidPose:
 
 #: Named camera poses. ``front`` is in front of the arm and to its side, where the wrist rarely
 #: hides the ball. ``overhead`` looks down from above the arm, as in the paper; there the wrist
-#: hides the ball more often.
+#: hides the ball more often. ``side`` is on the other side: it sees the ball at 60 to 90 degrees
+#: from ``front``.
 CAMERAS = {
     "front": RigidPose.looking((1.3, -1.0, 0.85), (0.47, 0.1, 0.33)),
     "overhead": RigidPose.looking((1.2, -0.4, 1.8), (0.47, 0.1, 0.33)),
+    "side": RigidPose.looking((1.65, 0.8, 0.95), (0.47, 0.1, 0.33)),
 }
 #: A camera on the arm, in the frame of its last link: beside the flange, where a RealSense fits, it
 #: looks along the tool, whose axis is in mid-image a quarter of a metre away.

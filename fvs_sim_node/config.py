@@ -6,9 +6,11 @@ from dataclasses import dataclass, field
 from math import ceil
 
 from fvs_detector_node.tags import TagsConfig
+from fvs_ros.arguments import unknown
 from fvs_ros.camera import FeatureConfig, Intrinsics
 from fvs_ros.interface import CommandInterface
-from fvs_ros.params import live_parameter, parameter
+from fvs_ros.kinds.kind import UNNAMED
+from fvs_ros.params import ParameterError, live_parameter, parameter
 from fvs_sim_node.camera import CAMERAS, Lens, RigidPose
 from fvs_sim_node.robot import ROBOTS
 
@@ -74,7 +76,11 @@ class SimConfig(TagsConfig, CommandInterface):
     joint_state_rate_hz: float = parameter(
         125.0, "joint states per second (500 on an e-series)", 10.0, 1000.0
     )
-    camera: str = parameter("front", "named pose of a fixed camera", choices=tuple(CAMERAS))
+    camera: str = parameter(
+        "front",
+        "named pose of a fixed camera; each of cameras stands at the one of its own name",
+        choices=tuple(CAMERAS),
+    )
     image_rate_hz: float = parameter(30.0, "images per second", 1.0, 120.0)
     image_width: int = parameter(640, "image width, pixels", 64, 1920)
     image_height: int = parameter(480, "image height, pixels", 48, 1080)
@@ -100,9 +106,14 @@ class SimConfig(TagsConfig, CommandInterface):
     camera_covered: bool = live_parameter(
         False, "cover the lens: black images without depth, so no ball"
     )
+    covered_cameras: tuple[str, ...] = live_parameter(
+        (UNNAMED,),
+        "names of those of cameras that camera_covered covers; empty: all",
+        choices=(UNNAMED, *CAMERAS),
+    )
     camera_rotation_deg: tuple[float, ...] = live_parameter(
         (0.0, 0.0, 0.0),
-        "rotation of a bumped camera about its own x, y, z axes, degrees",
+        "rotation of a bumped camera, the first, about its own x, y, z axes, degrees",
         -180.0,
         180.0,
         size=3,
@@ -118,8 +129,12 @@ class SimConfig(TagsConfig, CommandInterface):
     exposure_s: float = 0.005
     #: A whole multiple of ``joint_state_rate_hz``; 0 takes the least one from 500 on.
     physics_rate_hz: float = 0.0
-    #: Camera pose in place of a named one, or, in the last link's frame, of that on the arm.
+    #: Pose of the first camera in place of a named one, or, in the last link's frame, of that on
+    #: the arm.
     camera_pose: RigidPose | None = None
+    #: Of each of ``cameras``, in place of ``latency_s`` and ``image_rate_hz``; empty: those.
+    latencies_s: tuple[float, ...] = ()
+    image_rates_hz: tuple[float, ...] = ()
     #: Whether ball positions come from rendered images. Otherwise they are the true ones (plus
     #: ``position_noise_m``): several times faster, without occlusion and without full frames. With
     #: 0.2 mm of noise the final error is 0.1 mm smaller than with images.
@@ -138,7 +153,7 @@ class SimConfig(TagsConfig, CommandInterface):
     #: encoder per turn; 0: infinitely many.
     encoder_noise_rad: float = 0.0
     encoder_steps: int = 0
-    #: First distortion coefficient of the webcam that sees image points.
+    #: First distortion coefficient of the first named webcam that sees image points.
     k1: float = -0.2
     #: Relative error, positive for too large, of the reported focal length and of the depths.
     focal_error: float = 0.0
@@ -161,14 +176,22 @@ class SimConfig(TagsConfig, CommandInterface):
                 f"image_rate_hz {self.image_rate_hz} is above physics_rate_hz "
                 f"{self.physics_rate_hz}"
             )
+        for name in self.kind.cameras:
+            if name and name not in CAMERAS:
+                raise ParameterError(f"cameras: {unknown('camera', name, CAMERAS)}")
 
-    @property
-    def intrinsics(self) -> Intrinsics:
-        """The camera's; a webcam has its centre anywhere."""
+    def covers(self, camera: str) -> bool:
+        """Whether the lens of one of ``cameras`` is covered."""
+        return self.camera_covered and bool({UNNAMED, camera} & {*self.covered_cameras})
+
+    def lens(self, camera: str = UNNAMED) -> Intrinsics:
+        """Of one of ``cameras``; a webcam has a lens of its own, with its centre anywhere."""
         width, height = self.image_width, self.image_height
         if not self.kind.rigid:
-            focal, u, v = 0.85 * width, 0.48 * width, 0.53 * height
-            return Lens(width, height, focal, focal, u, v, self.k1)
+            number = list(CAMERAS).index(camera or self.camera)
+            focal = (0.85 + 0.08 * number) * width
+            u, v = (0.48 + 0.03 * number) * width, (0.53 - 0.04 * number) * height
+            return Lens(width, height, focal, focal, u, v, self.k1 / (1 + number))
         focal = 615.0 / 640.0 * width  # of a D435's colour camera
         return Intrinsics(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 

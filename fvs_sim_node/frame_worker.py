@@ -86,7 +86,11 @@ def _work(pipe: Connection, memory: tuple[Any, Any], config: SimConfig) -> None:
             world.object_pose = observation.object_pose
             world.place_bodies()
             rgb[:], depth_m[:] = world.photograph(
-                config, observation.camera, observation.velocities_rad_s, rng
+                config,
+                observation.camera,
+                observation.velocities_rad_s,
+                rng,
+                number=observation.number,
             )
             pipe.send(None)
     world.close()

@@ -1,4 +1,4 @@
-"""``fvs_sim_node``: a simulated arm and depth camera with the topics of the real ones."""
+"""``fvs_sim_node``: a simulated arm and its cameras with the topics of the real ones."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
+from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseStamped, TransformStamped
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
@@ -21,7 +23,6 @@ from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
 from fvs_ros.interface import VELOCITY
-from fvs_ros.kinds import KINDS
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.rotations import vector_from_rotation_rad
 from fvs_sim_node.config import PARAMETERS, SimNodeConfig
@@ -33,17 +34,26 @@ from fvs_sim_node.simulation import Observation, SimStep, Simulation
 _BURST_S = 0.005
 #: The first command is waited for so long, s: discovery may take three seconds and more.
 _FIRST_S = 10.0
-#: Topics of the responses to joint states, and largest simulated time without a new one, s.
+#: Topics of the responses to joint states, and largest simulated time without a new one, s; that
+#: of a detector's.
 _ANSWERS = {
     topics.COMMANDS.name: 0.0,
     topics.POSITION_COMMANDS.name: 0.0,
     topics.JACOBIAN.name: 0.1,
-    **{
-        topic.name: 0.15
-        for kind in KINDS.values()
-        for topic in (kind.topics.tool, kind.topics.object)
-    },
 }
+_DETECTED_S = 0.15
+
+
+@dataclass
+class _Camera:
+    """What is published of a camera, and what draws its full frames in real time."""
+
+    truth: Publisher
+    feature: Publisher | None  # a detector publishes it
+    color: Publisher
+    worker: FrameWorker | None = None
+    watched: bool = False
+    exposed_s: float = -np.inf  # stamp of the newest full frame
 
 
 class SimNode(ros.FvsNode):
@@ -61,23 +71,25 @@ class SimNode(ros.FvsNode):
         self._names = [config.tf_prefix + names[i] for i in self._order]
         self._refusal = ""
         self._late = 0
-        self._watched = False
-        self._worker: FrameWorker | None = None
-        self._exposed_s = -np.inf  # stamp of the newest full frame
         self._announced: bool | None = None
         self._paused_active: bool | None = None  # was the controller, when the pause began?
         self._joint_states = self.publisher(topics.JOINT_STATES)
         self._kind = self._sim.kind
-        self._truth = self.publisher(self._kind.truth)
-        if config.publish_ball_position:
-            self._feature = self.publisher(self._kind.feature)
+        images = [topics.of_camera(topics.COLOR_IMAGE, name) for name in self._kind.cameras]
+        self._cameras = [
+            _Camera(
+                self.publisher(part.truth),
+                self.publisher(part.feature) if config.publish_ball_position else None,
+                self.create_publisher(Image, image.name, ros.QOS_LARGE),
+            )
+            for part, image in zip(self._kind.parts, images, strict=True)
+        ]
         if config.simulation.object_tag is not None:
             self._object_truth = self.publisher(self._kind.topics.object_truth)
             if config.publish_ball_position:
                 self._object = self.publisher(self._kind.topics.object)
         self._camera_pose = self.publisher(topics.TRUE_CAMERA_POSE)
         self._transforms = self.publisher(topics.TF_STATIC) if find_spec("tf2_msgs") else None
-        self._color = self.create_publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)
         self._depth = self.create_publisher(Image, topics.DEPTH_IMAGE.name, ros.QOS_LARGE)
         self._info = self.publisher(topics.CAMERA_INFO)
         self._program_running = self.publisher(topics.ROBOT_PROGRAM_RUNNING)
@@ -113,7 +125,7 @@ class SimNode(ros.FvsNode):
             self._clock_topic = self.publisher(topics.CLOCK)
             answers = [topics.JACOBIAN]
             if not config.publish_ball_position:  # a detector does
-                answers.append(self._kind.feature)
+                answers += [part.feature for part in self._kind.parts]
             for topic in answers:
                 self.subscribe(topic, partial(self._answer, topic.name), ros.QOS_RELIABLE)
             self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
@@ -142,7 +154,7 @@ class SimNode(ros.FvsNode):
         late = [
             topic
             for topic, answered_s in self._answered_s.items()
-            if self._simulated_s() - answered_s > _ANSWERS[topic]
+            if self._simulated_s() - answered_s > _ANSWERS.get(topic, _DETECTED_S)
         ]
         # A busy computer keeps a node from running for less than three seconds. A node without a
         # response for longer counts as ended, until it responds again.
@@ -175,14 +187,16 @@ class SimNode(ros.FvsNode):
             self._clock_topic.publish(Clock(clock=ros.to_stamp(stamp_s)))
         for observation in step.observations:
             self._publish_observation(observation)
-        if self._truth.get_subscription_count():
-            self._truth.publish(self._message(stamp_s, self._sim.true_feature()))
+        if any(camera.truth.get_subscription_count() for camera in self._cameras):
+            parts = np.split(self._sim.true_feature(), len(self._cameras))
+            for camera, z in zip(self._cameras, parts, strict=True):
+                camera.truth.publish(self._message(stamp_s, z))
         true_object = self._sim.true_object()
         if true_object is not None and self._object_truth.get_subscription_count():
             self._object_truth.publish(self._message(stamp_s, true_object))
         self._publish_joints(stamp_s, step)
         self._stepped_s = self.steady_s()
-        self._publish_drawn_frame()  # after the joint states, which other nodes wait for
+        self._publish_drawn_frames()  # after the joint states, which other nodes wait for
 
     # --- outputs ---
 
@@ -201,51 +215,55 @@ class SimNode(ros.FvsNode):
         self._joint_states.publish(message)
 
     def _publish_observation(self, observation: Observation) -> None:
-        stamp_s = self._base_s + observation.stamp_s
+        stamp_s, camera = self._base_s + observation.stamp_s, self._cameras[observation.number]
         if self._kind.rigid and self._info.get_subscription_count():  # a webcam sends none
             self._info.publish(
                 ros.to_camera_info(stamp_s, self._frame, self._sim.reported_intrinsics)
             )
-        if observation.z is not None and self._config.publish_ball_position:
-            self._feature.publish(self._message(stamp_s, observation.z))
+        if observation.z is not None and camera.feature is not None:
+            camera.feature.publish(self._message(stamp_s, observation.z))
         if observation.object_z is not None and self._config.publish_ball_position:
             self._object.publish(self._message(stamp_s, observation.object_z))
         if observation.frame is not None:
-            self._publish_frame(stamp_s, *observation.frame)
+            self._publish_frame(camera, stamp_s, *observation.frame)
         elif (
-            self._worker is not None
-            and self._watched
-            and self._frame_is_due(stamp_s)
-            and self._worker.expose(observation, self._sim.config)
+            camera.worker is not None
+            and camera.watched
+            and self._frame_is_due(camera, stamp_s)
+            and camera.worker.expose(observation, self._sim.config)
         ):
-            self._exposed_s = stamp_s
+            camera.exposed_s = stamp_s
 
-    def _frame_is_due(self, stamp_s: float) -> bool:
+    def _frame_is_due(self, camera: _Camera, stamp_s: float) -> bool:
         # Half an image's period of slack: exposures come at the image rate, with some jitter.
         slack_s = 0.5 / self._config.simulation.image_rate_hz
-        return stamp_s - self._exposed_s >= 1.0 / self._config.full_frame_rate_hz - slack_s
+        return stamp_s - camera.exposed_s >= 1.0 / self._config.full_frame_rate_hz - slack_s
 
-    def _publish_drawn_frame(self) -> None:
-        frame = None if self._worker is None else self._worker.finished()
-        if frame is not None:
-            self._publish_frame(self._exposed_s, *frame)
+    def _publish_drawn_frames(self) -> None:
+        for camera in self._cameras:
+            frame = camera.worker and camera.worker.finished()
+            if frame:
+                self._publish_frame(camera, camera.exposed_s, *frame)
 
-    def _publish_frame(self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray) -> None:
-        if self._color.get_subscription_count():
-            self._color.publish(ros.to_image(stamp_s, self._frame, rgb, "rgb8"))
+    def _publish_frame(
+        self, camera: _Camera, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray
+    ) -> None:
+        if camera.color.get_subscription_count():
+            camera.color.publish(ros.to_image(stamp_s, self._frame, rgb, "rgb8"))
         if self._kind.rigid and self._depth.get_subscription_count():
             millimetres = np.round(depth_m * 1e3).clip(0, 65535).astype(np.uint16)
             self._depth.publish(ros.to_image(stamp_s, self._frame, millimetres, "16UC1"))
 
     def _look_for_subscribers(self) -> None:
         """Render full frames only while a node receives them."""
-        self._watched = any(
-            publisher.get_subscription_count() for publisher in (self._color, self._depth)
-        )
+        for camera in self._cameras:
+            camera.watched = any(
+                publisher.get_subscription_count() for publisher in (camera.color, self._depth)
+            )
+            if camera.watched and camera.worker is None and not self._config.simulated_time:
+                camera.worker = FrameWorker(self._sim.config)
         if self._config.simulated_time:
-            self._sim.full_frames = self._watched
-        elif self._watched and self._worker is None:
-            self._worker = FrameWorker(self._sim.config)
+            self._sim.full_frames = any(camera.watched for camera in self._cameras)
 
     # --- inputs ---
 
@@ -325,14 +343,15 @@ class SimNode(ros.FvsNode):
             {
                 "simulated_s": self._sim.time_s,
                 "late_ticks": self._late,
-                "full_frames": self._watched,
+                "full_frames": any(camera.watched for camera in self._cameras),
             },
         )
 
     def finish(self) -> None:
         """Close PyBullet."""
-        if self._worker is not None:
-            self._worker.close()
+        for camera in self._cameras:
+            if camera.worker is not None:
+                camera.worker.close()
         self._sim.close()
 
 

@@ -56,10 +56,12 @@ class Placement:
         home_rad: np.ndarray,
         intrinsics: Intrinsics,
         hidden: Callable[[np.ndarray, list[RigidPose]], np.ndarray],
+        front_m: np.ndarray | None = None,
     ) -> RigidPose:
         """The camera that has the ball in view, all over the box of motion, and least hidden.
 
-        ``hidden`` tells for joints, (n,), from which poses the arm hides the ball.
+        ``hidden`` tells for joints, (n,), from which poses the arm hides the ball. The camera
+        ``side`` looks at an angle of 60 to 90 degrees to that at ``front_m``, (3,).
         """
         joints = home_rad + self._box_rad * self._watched
         balls_m = self._chain.position(joints)
@@ -67,9 +69,12 @@ class Placement:
         towards = np.arctan2(middle_m[1], middle_m[0])
         poses = [
             self._closest(middle_m, towards + azimuth, elevation, balls_m, intrinsics)
-            for elevation in {"front": (0.35, 0.7), "overhead": (1.2,)}[name]
+            for elevation in ((1.2,) if name == "overhead" else (0.35, 0.7))
             for azimuth in np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
         ]
+        if front_m is not None:
+            front = (front_m - middle_m) / np.linalg.norm(front_m - middle_m)
+            poses = [each for each in poses if 0.0 < -front @ each.rotation[:, 2] < 0.5]
         share = np.mean([hidden(joints_rad, poses) for joints_rad in joints], axis=0)
         far_m = [np.linalg.norm(pose.position_m - middle_m) for pose in poses]
         # One that is a metre closer may see 2 % less.

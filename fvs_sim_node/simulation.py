@@ -20,9 +20,9 @@ from fvs_detector_node.images import Region
 from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.interface import VELOCITY
 from fvs_ros.kinds import Kind
-from fvs_ros.pixel_chain import PixelChain
+from fvs_ros.pixel_chain import PixelChain, PixelChains
 from fvs_sim_node.actuator import Actuator
-from fvs_sim_node.camera import RigidPose
+from fvs_sim_node.camera import Lens, RigidPose
 from fvs_sim_node.carried import Carried
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.world import World
@@ -39,6 +39,7 @@ class Observation:
     joints_rad: np.ndarray  # at the exposure, (n,)
     velocities_rad_s: np.ndarray  # of the joints then, (n,)
     camera: RigidPose  # world frame
+    number: int  # of the camera
     object_z: np.ndarray | None  # as z, of the object
     object_pose: RigidPose  # the true one, world frame
     frame: tuple[np.ndarray, np.ndarray] | None = None  # colours and depths, if they are wanted
@@ -54,8 +55,29 @@ class SimStep:
     observations: tuple[Observation, ...]  # those that were released during this period
 
 
+@dataclass
+class View:
+    """One of the cameras of a simulation, and its own noise and lost images."""
+
+    number: int
+    kind: Kind  # of what it measures
+    lens: Intrinsics
+    detector: Detector
+    object_detector: Detector | None
+    #: The camera's pose in the room, or in the frame of the arm's last link.
+    mounted: RigidPose
+
+    def reset(self, *rngs: np.random.Generator) -> None:
+        """Begin again with these generators."""
+        self.noise_rng, self.loss_rng, _, self.frame_rng, self.object_rng = rngs
+        self.image_count = 0
+        self.pending: deque[tuple[float, Observation]] = deque()
+        for detector in filter(None, (self.detector, self.object_detector)):
+            detector.reset()
+
+
 class Simulation:
-    """An arm with a ball on its end, seen by a depth camera; or with the camera on its end.
+    """An arm with a ball on its end, seen by cameras; or with the camera on its end.
 
     Parameters
     ----------
@@ -69,8 +91,8 @@ class Simulation:
         place of the white noise of the configuration.
     full_frames : bool
         Whether observations include full images; slower.
-    mounted : RigidPose
-        The camera's pose in the room, or in the frame of the arm's last link.
+    views : list of View
+        The cameras: several webcams, or one.
     active : bool
         Whether the velocity controller takes commands.
     kind : Kind
@@ -80,7 +102,6 @@ class Simulation:
     def __init__(self, config: SimConfig | None = None) -> None:
         config = config or SimConfig()
         self.kind = config.kind
-        self.intrinsics = config.intrinsics
         self.world = World(config)
         self._actuator = Actuator(
             config, self.world.lower_rad, self.world.upper_rad, self.world.max_speed_rad_s
@@ -90,8 +111,17 @@ class Simulation:
         self.full_frames = False
         own = {member.name for member in fields(DetectorConfig)} & vars(config).keys()
         detection = DetectorConfig(**{name: getattr(config, name) for name in own})
-        self._detector = make_detector(detection)
-        self._object_detector = make_object_detector(detection)
+        self.views = [
+            View(
+                number,
+                part,
+                config.lens(part.cameras[0]),
+                make_detector(detection),
+                make_object_detector(detection),
+                self.world.camera_home(config, number),
+            )
+            for number, part in enumerate(self.kind.parts)
+        ]
         self.configure(config)
         self.reset()
 
@@ -108,13 +138,26 @@ class Simulation:
         self.mounted = home.rotated(np.radians(config.camera_rotation_deg))
 
     @property
+    def mounted(self) -> RigidPose:
+        """The first camera's pose where it is mounted; it may be set."""
+        return self.views[0].mounted
+
+    @mounted.setter
+    def mounted(self, pose: RigidPose) -> None:
+        self.views[0].mounted = pose
+
+    @property
     def camera(self) -> RigidPose:
-        """Where the camera is now, world frame; it may be set."""
-        return self.world.link().pose_from_own(self.mounted) if self.kind.on_arm else self.mounted
+        """Where the first camera is now, world frame; it may be set."""
+        return self._pose(self.views[0])
 
     @camera.setter
     def camera(self, pose: RigidPose) -> None:
         self.mounted = self.world.link().pose_to_own(pose) if self.kind.on_arm else pose
+
+    def _pose(self, view: View) -> RigidPose:
+        """Where a camera is now, world frame."""
+        return self.world.link().pose_from_own(view.mounted) if self.kind.on_arm else view.mounted
 
     def close(self) -> None:
         """Free the physics engine."""
@@ -153,20 +196,17 @@ class Simulation:
         """
         config = self.config
         joints = self.world.start_rad(config, joints_rad)
-        seeds = np.random.SeedSequence(config.seed if seed is None else seed).spawn(5)
-        self._noise_rng, self._loss_rng, self._encoder_rng, self._frame_rng, self._object_rng = map(
-            np.random.default_rng, seeds
-        )
+        source = np.random.SeedSequence(config.seed if seed is None else seed)
+        seeds = [source.spawn(5)]
+        self._encoder_rng = np.random.default_rng(seeds[0][2])
+        seeds += [each.spawn(5) for each in source.spawn(len(self.views) - 1)]
+        for view, own in zip(self.views, seeds, strict=True):
+            view.reset(*map(np.random.default_rng, own))
         self._step = 0
-        self._image_count = 0
         self.active = True
         #: Position commands: the newest, and the one before.
         self._wanted: np.ndarray | None = None
         self._sought: np.ndarray | None = None
-        self._pending: deque[tuple[float, Observation]] = deque()
-        self._detector.reset()
-        if self._object_detector is not None:
-            self._object_detector.reset()
         self.place_object()
         self._actuator.reset()
         self.world.reset(joints)
@@ -260,96 +300,110 @@ class Simulation:
             self._expose_if_due()
         now_s = self.time_s
         released = []
-        while self._pending and self._pending[0][0] <= now_s + 1e-9:
-            released.append(self._pending.popleft()[1])
+        for view in self.views:
+            while view.pending and view.pending[0][0] <= now_s + 1e-9:
+                released.append(view.pending.popleft()[1])
         deviation_rad = self.config.encoder_noise_rad
         noise = self._encoder_rng.normal(scale=deviation_rad, size=self._joints.size)
         return SimStep(now_s, self._encoders() + noise, self._velocities.copy(), tuple(released))
 
     # --------------------------------------------------------------------- eyes
     def _expose_if_due(self) -> None:
-        config = self.config
-        every = config.physics_rate_hz / config.image_rate_hz
-        if self._step < int(np.floor(self._image_count * every + 0.5)):
-            return
-        self._image_count += 1
-        if self._loss_rng.random() >= config.dropout:
-            self._pending.append((self.time_s + config.latency_s, self.look()))
+        config, count = self.config, len(self.views)
+        for view in self.views:
+            number = view.number
+            rate_hz = (config.image_rates_hz or count * (config.image_rate_hz,))[number]
+            latency_s = (config.latencies_s or count * (config.latency_s,))[number]
+            every = config.physics_rate_hz / rate_hz
+            # Webcams are not synchronized: their exposures are spread.
+            if self._step < int(np.floor((view.image_count + number / count) * every + 0.5)):
+                continue
+            view.image_count += 1
+            if view.loss_rng.random() >= config.dropout:
+                view.pending.append((self.time_s + latency_s, self.look(number)))
 
-    def look(self) -> Observation:
-        """Expose an image now; nothing is released for it."""
+    def look(self, number: int = 0) -> Observation:
+        """Expose an image of a camera now; nothing is released for it."""
         if self.config.rendered or self.full_frames:
             self.world.place_bodies()
-        world, object_z = self.world, None
-        z, visible_fraction = self._measured(
-            world.body, self.true_pose(), self._detector, self._noise_rng
-        )
-        if world.object is not None and self._object_detector is not None:
-            pose = self.camera.pose_to_own(world.object_pose)
+        world, view, object_z = self.world, self.views[number], None
+        camera = self._pose(view)
+        true = camera.pose_to_own(world.feature_pose())
+        z, visible_fraction = self._measured(view, world.body, true, view.detector, view.noise_rng)
+        if world.object is not None and view.object_detector is not None:
+            pose = camera.pose_to_own(world.object_pose)
             object_z, _ = self._measured(
-                world.object, pose, self._object_detector, self._object_rng
+                view, world.object, pose, view.object_detector, view.object_rng
             )
         return Observation(
             self.time_s,
             z,
             visible_fraction,
-            self.true_pose().position_m,
+            true.position_m,
             self.joints_rad,
             self._velocities,
-            self.camera,
+            camera,
+            number,
             object_z,
             world.object_pose,
-            self._photograph(self._frame_rng) if self.full_frames else None,
+            self._photograph(view, view.frame_rng) if self.full_frames else None,
         )
 
     def _photograph(
-        self, rng: np.random.Generator, region: Region | None = None
+        self, view: View, rng: np.random.Generator, region: Region | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        return self.world.photograph(self.config, self.camera, self._velocities, rng, region)
+        return self.world.photograph(
+            self.config, self._pose(view), self._velocities, rng, region, view.number
+        )
 
     def _measured(
-        self, body: Carried, true: RigidPose, detector: Detector, rng: np.random.Generator
+        self,
+        view: View,
+        body: Carried,
+        true: RigidPose,
+        detector: Detector,
+        rng: np.random.Generator,
     ) -> tuple[np.ndarray | None, float]:
         """What is reported of a body now, None if it is not seen, and its visible fraction."""
-        camera = self.intrinsics
-        part = None if self.config.camera_covered else body.part(true, camera)
+        camera, kind = view.lens, view.kind
+        part = None if self.config.covers(kind.cameras[0]) else body.part(true, camera)
         if part is None:
             return None, 0.0
         if not self.config.rendered:
-            z, fraction = self._feature(body, true), 1.0
-            points_px = camera.project(true.position_m) if self.kind.rigid else z.reshape(-1, 2)
+            z, fraction = _feature(view, body, true), 1.0
+            points_px = camera.project(true.position_m) if kind.rigid else z.reshape(-1, 2)
             in_view = camera.contains(points_px)
-            if not in_view or (self.kind.on_arm and not body.legible(true, camera)):
+            if not in_view or (kind.on_arm and not body.legible(true, camera)):
                 return None, 0.0
-            z = self.as_seen(z) if self.kind.rigid else z
+            z = self.as_seen(z) if kind.rigid else z
         else:
             # As from a camera that sends only the region around the body: drawing takes long.
             region = part.grown(min(part.width // 8 + 8, 24), camera)
-            view = CameraModel(region.view(self.reported_intrinsics))
-            images = self._photograph(rng, region)
-            detection = detector.detect(self.time_s, *images, view).detection
+            model = CameraModel(region.view(self.reported_intrinsics))
+            images = self._photograph(view, rng, region)
+            detection = detector.detect(self.time_s, *images, model).detection
             if detection is None:
                 return None, 0.0
-            z = self.kind.of_detection(detection)
+            z = kind.of_detection(detection)
             fraction = detection.visible_fraction
-        return self._blurred(z, rng), fraction
+        return self._blurred(kind, z, rng), fraction
 
-    def _blurred(self, z: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    def _blurred(self, kind: Kind, z: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """The measurement with further noise, of a rotation along its arc."""
         deviation_m = self.config.position_noise_m
         if self.position_noise is None and deviation_m == 0.0:
             return z
-        noise_m = np.zeros(self.kind.size)
+        noise_m = np.zeros(kind.size)
         if self.position_noise is not None:
             noise_m[:3] = self.position_noise(rng)
         else:
             noise_m += rng.normal(scale=deviation_m, size=noise_m.size)
-        return self.kind.retract(z, noise_m)
+        return kind.retract(z, noise_m)
 
     @property
     def reported_intrinsics(self) -> Intrinsics:
         """The intrinsics that ``camera_info`` and the detection have, with ``focal_error``."""
-        true, scale = self.intrinsics, 1.0 + self.config.focal_error
+        true, scale = self.views[0].lens, 1.0 + self.config.focal_error
         if not self.kind.rigid:
             return Intrinsics.of_pixels(true.width, true.height)  # nothing is known
         return replace(true, fx=scale * true.fx, fy=scale * true.fy)
@@ -365,23 +419,20 @@ class Simulation:
         return self.kind.without_lens(scaled[None], self.config.focal_error, 0.0)[0]
 
     def true_pose(self) -> RigidPose:
-        """What is servoed as the camera sees it now. For evaluation only."""
+        """What is servoed as the first camera sees it now. For evaluation only."""
         return self.camera.pose_to_own(self.world.feature_pose())
 
     def true_feature(self) -> np.ndarray:
-        """The feature as the camera sees it now, (m,). For evaluation only."""
-        return self._feature(self.world.body, self.true_pose())
-
-    def _feature(self, body: Carried, pose: RigidPose) -> np.ndarray:
-        """Of a body at a pose in the camera's frame, (m,)."""
-        if self.kind.rigid:
-            return self.kind.of_body(pose.position_m, pose.rotation)
-        points_m = body.points_m @ pose.rotation.T + pose.position_m
-        return self.intrinsics.project(points_m).ravel()
+        """The feature as the cameras see it now, (m,). For evaluation only."""
+        world, body = self.world.feature_pose(), self.world.body
+        poses = [self._pose(view).pose_to_own(world) for view in self.views]
+        return np.concatenate(
+            [_feature(view, body, pose) for view, pose in zip(self.views, poses, strict=True)]
+        )
 
     def true_object(self) -> np.ndarray | None:
         """The object's feature beside the tool's as the camera sees it now. For evaluation only."""
-        if self._object_detector is None:
+        if self.views[0].object_detector is None:
             return None
         pose = self.camera.pose_to_own(self.world.object_pose)
         return self.kind.of_body(pose.position_m, pose.rotation)
@@ -402,15 +453,30 @@ class Simulation:
         return kind.along(self.true_chain(kind), np.asarray(joints_rad, dtype=float))[1]
 
     def true_chain(self, kind: Kind | None = None) -> Any:
-        """The arm, or its pixels, as the camera sees it now, for evaluation only."""
-        kind, camera = kind or self.kind, self.mounted
+        """The arm, or its pixels, as the cameras see it now, for evaluation only.
+
+        Of a body, as the first one sees it.
+        """
+        kind, chains = kind or self.kind, []
         chain = self.world.chain_with(kind)
         if self.kind.on_arm:
             pose = self.world.object_pose
             seen = kind.of_body(pose.position_m, pose.rotation)
             chain = replace(chain, feature_m=seen, on_arm=True)
-            camera = self.world.zero_link.pose_from_own(camera)
-        back = camera.rotation.T
-        chain = chain.moved(back, -back @ camera.position_m)
-        lens: Any = self.intrinsics
-        return chain if kind.rigid else PixelChain(chain, lens.webcam)
+        for view in self.views:
+            camera = view.mounted
+            if self.kind.on_arm:
+                camera = self.world.zero_link.pose_from_own(camera)
+            back, lens = camera.rotation.T, view.lens
+            own: Any = chain.moved(back, -back @ camera.position_m)
+            if isinstance(lens, Lens) and not kind.rigid:
+                own = PixelChain(own, lens.webcam)
+            chains.append(own)
+        return chains[0] if kind.rigid or len(chains) == 1 else PixelChains(tuple(chains))
+
+
+def _feature(view: View, body: Carried, pose: RigidPose) -> np.ndarray:
+    """Of a body at a pose in a camera's frame, (m,)."""
+    if view.kind.rigid:
+        return view.kind.of_body(pose.position_m, pose.rotation)
+    return view.lens.project(body.points_m @ pose.rotation.T + pose.position_m).ravel()

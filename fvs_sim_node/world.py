@@ -45,8 +45,8 @@ class World:
     compensates it. ``client`` has PyBullet's functions for this world; ``joint_names`` are the
     moving joints from the root to the last link, with their limits, shape (n,). ``body`` is
     servoed, and hangs on the arm unless the camera does; ``object``, if there is one, stands in the
-    room at ``object_pose``, world frame, which may be set. The camera is mounted in the frame of
-    ``camera_link``.
+    room at ``object_pose``, world frame, which may be set. The cameras are mounted in the frame of
+    ``camera_link``; ``renderers`` are theirs.
 
     A ``ValueError`` says that the URDF cannot be loaded, or lacks the link or joints that move it.
     """
@@ -66,11 +66,11 @@ class World:
         self._offset_m, self._ball_radius_m = config.ball_offset_m, config.ball_radius_m
         self._on_arm = config.camera_mount == ON_ARM
         near_m = D435.near_m if self._on_arm else _NEAR_M
-        self._intrinsics = config.intrinsics
-        pinhole, self._undistorted = self._intrinsics, list[np.ndarray]()
-        if isinstance(self._intrinsics, Lens):
-            pinhole, *self._undistorted = self._intrinsics.pinhole()
-        self.renderer = Renderer(self.client, pinhole, near_m)
+        self._names = [name or config.camera for name in config.kind.cameras]
+        self._lens = config.lens
+        self.renderers = [
+            Renderer(self.client, config.lens(name), near_m) for name in config.kind.cameras
+        ]
         try:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
             self.client.setGravity(0.0, 0.0, 0.0)
@@ -244,23 +244,25 @@ class World:
         velocities_rad_s: np.ndarray,
         rng: np.random.Generator,
         region: Region | None = None,
+        number: int = 0,
     ) -> tuple[np.ndarray, np.ndarray]:
         """What a camera with these errors sends of its image, or of a part of it.
 
         As :meth:`Renderer.render`; ``velocities_rad_s`` of the joints blur a tag, (n,).
         """
-        intrinsics, part = self.renderer.intrinsics, region or Region.whole(self._intrinsics)
-        if config.camera_covered:
+        renderer = self.renderers[number]
+        intrinsics, part = renderer.intrinsics, region or Region.whole(renderer.lens)
+        if config.covers(config.kind.cameras[number]):
             shape = part.height, part.width
             return np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
         step = ceil(max(part.width, part.height) / self.body.drawn_px) if region else 1
-        if self._undistorted:
-            u, v = (each[part.part] for each in self._undistorted)
+        if renderer.undistorted:
+            u, v = (each[part.part] for each in renderer.undistorted)
             ends_px = np.array([[u.min(), v.min()], [u.max(), v.max()]])
             region = Region.around(ends_px).grown(2, intrinsics)
             u, v = u - region.u0, v - region.v0
         view = region.view(intrinsics) if region else intrinsics
-        rgb, depth_m = self.renderer.render(camera, region, step)
+        rgb, depth_m = renderer.render(camera, region, step)
         jacobians = self._jacobians(self.joint_states()[0])
         arm_m_s, arm_rad_s = (jacobian @ velocities_rad_s for jacobian in jacobians)
         if not self._on_arm:
@@ -279,7 +281,7 @@ class World:
             linear, angular = linear @ camera.rotation, angular @ camera.rotation
             poses = exposed(pose, linear, angular, config.exposure_s)
             self.object.paint(rgb, depth_m, view, poses, rng)
-        if self._undistorted:
+        if renderer.undistorted:
             return cv2.remap(rgb, u, v, cv2.INTER_LINEAR), np.zeros(u.shape, np.float32)
         if step > 1:  # for a detector that takes no depths
             return rgb, depth_m
@@ -341,9 +343,11 @@ class World:
             raise ValueError(f"the arm needs {count} finite joint angles, got {joints.tolist()}")
         return joints
 
-    def camera_home(self, config: SimConfig) -> RigidPose:
+    def camera_home(self, config: SimConfig, number: int = 0) -> RigidPose:
         """The pose in ``camera_link`` of a camera that nobody has bumped."""
-        return config.camera_pose or (BRACKET if self._on_arm else self.camera(config.camera))
+        if config.camera_pose is not None and not number:
+            return config.camera_pose
+        return BRACKET if self._on_arm else self.camera(self._names[number])
 
     def placed_object(self, config: SimConfig) -> RigidPose:
         """Where the parameters put the object, world frame."""
@@ -365,8 +369,9 @@ class World:
         if name not in self._cameras:
             joints_rad, _ = self.joint_states()
             self._collide(True)
+            front = self.camera("front").position_m if name == "side" else None
             self._cameras[name] = self._placement.camera(
-                name, self.home_rad, self._intrinsics, self._hidden
+                name, self.home_rad, self._lens(name), self._hidden, front
             )
             self._collide(False)
             self.reset(joints_rad)
@@ -410,16 +415,20 @@ class World:
 
 
 class Renderer:
-    """Draws one world as one pinhole camera sees it, by PyBullet's software renderer.
+    """Draws one world as one camera sees it, by PyBullet's software renderer.
 
-    A part of the image is drawn with an off-axis frustum and equals the crop of the full image, so
-    that a small window around the ball costs a small part of a full image.
+    It draws for a pinhole camera, ``intrinsics``: the ``lens`` itself, or, where that distorts, one
+    that sees as much; ``undistorted`` is then where its pixels are there. A part of the image is
+    drawn with an off-axis frustum and equals the crop of the full image, so that a small window
+    around the ball costs a small part of a full image.
     """
 
-    def __init__(
-        self, client: BulletClient, intrinsics: Intrinsics, near_m: float = _NEAR_M
-    ) -> None:
+    def __init__(self, client: BulletClient, lens: Intrinsics, near_m: float = _NEAR_M) -> None:
         self._client = client
+        self.lens = intrinsics = lens
+        self.undistorted: list[np.ndarray] = []
+        if isinstance(lens, Lens):
+            intrinsics, *self.undistorted = lens.pinhole()
         self.intrinsics = intrinsics
         self._near_m = near_m  # what is nearer is not drawn
         rows = np.linspace(0.0, 1.0, intrinsics.height)[:, None]

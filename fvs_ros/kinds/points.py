@@ -26,6 +26,7 @@ from fvs_ros.topics import (
     KindTopics,
     kind_topics,
     message_class,
+    of_camera,
 )
 
 _COUNT = 1
@@ -93,7 +94,7 @@ class Points(Kind):
             object.__setattr__(self, attribute, tuple(names))
         if len(cameras) == 1 and self.any_frame:
             usual = type(self).topics
-            mine = KindTopics(*(replace(each, name=f"{cameras[0]}/{each.name}") for each in usual))
+            mine = KindTopics(*(of_camera(each, cameras[0]) for each in usual))
             object.__setattr__(self, "topics", mine._replace(sliding=usual.sliding))
 
     @cached_property

@@ -208,6 +208,24 @@ def test_the_detector_publishes_points_of_a_camera_without_calibration(ros_test,
     np.testing.assert_allclose(z, np.reshape(expected, (-1, 2)), atol=0.5)
 
 
+def test_a_detector_of_each_simulated_webcam_publishes_its_points(ros_test):
+    refused = ros_test.start_node("fvs_detector_node.node", feature="points", cameras=["a", "b"])
+    assert ros_test.wait(refused) == 2
+    assert "start a detector for each" in ros_test.output(refused)
+    truths, points, cameras = {}, {}, ["front", "side"]
+    for name in cameras:
+        truths[name] = ros_test.collect(PolygonStamped, f"{name}/fvs_sim_node/true_image_points")
+        points[name] = ros_test.collect(PolygonStamped, f"{name}/image_points")
+        node = {"__node": f"{name}_detector"}
+        ros_test.start_node("fvs_detector_node.node", node, feature="points", cameras=[name])
+    slow = {"publish_ball_position": False, "full_frame_rate_hz": 5.0}
+    ros_test.start_node("fvs_sim_node.node", feature="points", cameras=cameras, **slow)
+    ros_test.spin_until(lambda: all(points.values()) and all(truths.values()), 60.0, "the points")
+    for name in cameras:
+        z, truth = (Points().read(each[name][-1]) for each in (points, truths))
+        np.testing.assert_allclose(z, truth, atol=0.8)
+
+
 def test_the_demo_brings_the_ball_before_a_webcam_to_a_target(ros_test):
     few = "targets:=1", "target_s:=3.0", "image_rate_hz:=15.0", "output_dir:=out"
     webcam = "feature:=points", "simulated_time:=true", "use_sim_time:=true"

@@ -253,7 +253,7 @@ def test_tool_and_object_are_found_in_one_image(make, feature):
         true,
         strict=True,
     ):
-        seen = detector.detect(0.0, *look.frame, CameraModel(simulation.intrinsics)).detection
+        seen = detector.detect(0.0, *look.frame, CameraModel(simulation.views[0].lens)).detection
         assert np.linalg.norm(kind.minus(measured, z)) < 5e-3
         assert np.linalg.norm(kind.minus(kind.of_body(seen.position_m, seen.rotation), z)) < 5e-3
 

@@ -81,3 +81,56 @@ def test_a_count_that_nothing_has_is_refused():
         Simulation(SimConfig(feature="points", object_tag_id=9)).close()
     with pytest.raises(ValueError, match="camera in the room"):
         make_detector(DetectorConfig(feature="points", camera_mount="arm"))
+
+
+WEBCAMS = SimConfig(feature="points", points=Points(cameras=("front", "side")))
+
+
+def test_several_webcams_have_lenses_streams_and_chains_of_their_own():
+    with Simulation(WEBCAMS) as both, Simulation(SimConfig(feature="points")) as front:
+        first, second = both.views
+        assert first.lens == front.views[0].lens != second.lens
+        assert both.look().z.tolist() == front.look().z.tolist()
+        joints, truth = both.joints_rad, both.true_feature()
+        for view, rows in zip(both.views, both.kind.rows, strict=True):
+            look = both.look(view.number)
+            np.testing.assert_allclose(look.z, truth[rows], atol=0.6)
+            assert look.camera == view.mounted
+        np.testing.assert_allclose(both.true_chain().position(joints), truth, atol=1e-4)
+        slopes = both.kind.along(both.true_chain(), joints)[1]
+        np.testing.assert_allclose(both.true_jacobian(joints), slopes)
+        assert slopes.shape == (4, 6)
+
+
+def test_each_webcam_has_its_rate_and_latency_and_one_alone_is_covered():
+    exact = replace(WEBCAMS, rendered=False, image_rates_hz=(25.0, 12.5), latencies_s=(0.04, 0.12))
+    with Simulation(exact) as simulation:
+
+        def images():
+            steps = [simulation.advance() for _ in range(125)]
+            ages = [(o, step.time_s - o.stamp_s) for step in steps for o in step.observations]
+            return [[(o.z, age) for o, age in ages if o.number == number] for number in (0, 1)]
+
+        fast, slow = images()
+        assert len(fast) == pytest.approx(2 * len(slow), abs=3)
+        assert max(age for _, age in fast) + 0.06 < min(age for _, age in slow)
+        one = replace(exact, camera_covered=True, covered_cameras=("side",))
+        simulation.configure(one)
+        images()
+        fast, slow = images()
+        assert all(z is not None for z, _ in fast)
+        assert all(z is None for z, _ in slow)
+        simulation.configure(replace(one, covered_cameras=("",)))
+        assert simulation.look().z is simulation.look(1).z is None
+
+
+def test_a_camera_that_stands_nowhere_is_refused():
+    with pytest.raises(ValueError, match=r"unknown camera 'left'.*known are front, overhead, side"):
+        replace(WEBCAMS, points=Points(cameras=("left",)))
+
+
+def test_the_side_camera_of_any_arm_looks_across_the_front_ones_view():
+    with Simulation(replace(WEBCAMS, robot="scara")) as simulation:
+        front, side = (view.mounted.rotation[:, 2] for view in simulation.views)
+        assert 0.0 <= front @ side <= 0.5
+        assert all(simulation.look(number).z is not None for number in (0, 1))
