@@ -1,9 +1,10 @@
 """One collection run: when the arm may move, where it goes, and what is recorded. No ROS.
 
 The collector commands the arm without the controller, so it has its own guard. Nothing moves before
-joints and ball have arrived. Late joint states stop the arm. A ball out of view sends it back to
-its start. A joint that leaves its box or its range, or moves against its command, ends the run.
-Ticks that do not come, for up to half a second, move no joint beyond its range.
+joints and, from every camera, the ball have arrived. Late joint states stop the arm. A ball out of
+all cameras' view sends it back to its start. A joint that leaves its box or its range, or moves
+against its command, ends the run. Ticks that do not come, for up to half a second, move no joint
+beyond its range.
 """
 
 from __future__ import annotations
@@ -84,17 +85,18 @@ class CollectionRun:
     """Moves the joints and records what is seen.
 
     ``config`` holds the limits in force, ``reason`` explains the ``state`` in words, ``samples``
-    is the recording.
+    are the recordings of each camera.
     """
 
     def __init__(self, config: CollectorConfig) -> None:
         self.config, self._names = config, config.joint_names
-        self._unseen = f"no {config.kind.feature.name}"
         self._motion: RandomMotion | None = None
         self._in_view: InView | None = None  # with the camera on the arm
-        self._timeline = Timeline()
+        self._parts = config.kind.parts
+        self._timelines = [Timeline() for _ in self._parts]
         self._joints: np.ndarray | None = None
-        self._first_s = self._joints_s = self._ball_s = -np.inf
+        self._first_s = self._joints_s = -np.inf
+        self._ball_s = [-np.inf for _ in self._parts]
         self._limiter = CommandLimiter(config, _HELD_S)
         self._following = Following()
         self._speed_scaling = 1.0
@@ -103,7 +105,7 @@ class CollectionRun:
         self._others = ""
         self.state = State.WAITING
         self.reason = "waiting for joint_states"
-        self.samples: list[Sample] = []
+        self.samples: list[list[Sample]] = [[] for _ in self._parts]
 
     @property
     def progress(self) -> float:
@@ -122,7 +124,7 @@ class CollectionRun:
 
     def joint_states(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Take joint positions: arrival on the steady clock and stamp, s; (n,), rad."""
-        if not repeats(stamp_s, self._timeline.joints.newest_stamp_s):
+        if not repeats(stamp_s, self._timelines[0].joints.newest_stamp_s):
             self._first_s = now_s if self._joints is None else self._first_s
             self._joints, self._joints_s = joints_rad, now_s
             if self.moves:
@@ -131,13 +133,15 @@ class CollectionRun:
                 self._following.add(now_s, stamp_s, command, joints_rad / unit)
             else:
                 self._following.restart()
-        self._record(self._timeline.add_joints(stamp_s, joints_rad))
+        for camera, timeline in enumerate(self._timelines):
+            self._record(camera, timeline.add_joints(stamp_s, joints_rad))
 
-    def image(self, now_s: float, stamp_s: float, z: np.ndarray) -> None:
-        """Take a measurement, (m,): arrival on the steady clock and exposure stamp, s."""
-        if not repeats(stamp_s, self._timeline.seen_stamp_s):
-            self._ball_s = now_s
-            self._record(self._timeline.add_image(stamp_s, z))
+    def image(self, now_s: float, stamp_s: float, z: np.ndarray, camera: int = 0) -> None:
+        """Take a camera's measurement, (m,): arrival on the steady clock and exposure stamp, s."""
+        timeline = self._timelines[camera]
+        if not repeats(stamp_s, timeline.seen_stamp_s):
+            self._ball_s[camera] = now_s
+            self._record(camera, timeline.add_image(stamp_s, z))
 
     def configure(self, config: CollectorConfig) -> None:
         """Take limits that are known only now; a motion begins anew within them."""
@@ -171,9 +175,9 @@ class CollectionRun:
             self._limiter.stop()
         return self._limiter.velocity_rad_s
 
-    def _record(self, samples: list[Sample]) -> None:
+    def _record(self, camera: int, samples: list[Sample]) -> None:
         if self.state in (State.MOVING, State.RETURNING):
-            self.samples.extend(samples)
+            self.samples[camera].extend(samples)
             if self._in_view is not None:
                 for sample in samples:
                     self._in_view.learn(sample.joints_rad, sample.z)
@@ -198,7 +202,13 @@ class CollectionRun:
     def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:
         """Advance the state machine; returns wanted velocities, rad/s, or None to come to rest."""
         late = _late("no joint_states", now_s - self._joints_s, _JOINTS_MAX_AGE_S)
-        lost = _late(self._unseen, now_s - self._ball_s, _BALL_MAX_AGE_S)
+        unseen = [
+            _late(f"no {part.feature.name}", now_s - ball_s, _BALL_MAX_AGE_S)
+            for part, ball_s in zip(self._parts, self._ball_s, strict=True)
+        ]
+        missing = ", ".join(filter(None, unseen))
+        # It begins with every camera, and goes on with any.
+        lost = missing if self._motion is None or all(unseen) else ""
         joints = self._joints
         others = f"{self._others} commands the arm as well; stop it first" if self._others else ""
         unknown = ""
@@ -233,7 +243,8 @@ class CollectionRun:
         else:
             self._trouble_s = None
             motion.resume(self._moved_s, joints)
-            self.state, self.reason = State.MOVING, "moving and recording"
+            self.state = State.MOVING
+            self.reason = "moving and recording" + (missing and f"; {missing}")
         moves = self.state in (State.MOVING, State.RETURNING)
         return self._command(motion, joints) if moves else None
 

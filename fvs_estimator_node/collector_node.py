@@ -9,6 +9,7 @@ stop.listen()
 import os
 import sys
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from fvs_estimator_node.collecting import PARAMETERS, CollectionRun, CollectorCo
 from fvs_estimator_node.files import data_set_of, save_data_set
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.kinds import Kind
 
 _MIN_SAMPLES = 30
 _PUBLISHERS_PERIOD_S = 0.25
@@ -46,8 +48,8 @@ class CollectorNode(ros.FvsNode):
         self._commands = ros.CommandPublisher(self)
         self._joints: np.ndarray | None = None
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self._kind = config.kind
-        self.subscribe(self._kind.feature, self._on_feature)
+        for camera, part in enumerate(config.kind.parts):
+            self.subscribe(part.feature, partial(self._on_feature, camera, part))
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         ros.LimitsReader(self, self._take_limits, self._run.fail)
@@ -72,14 +74,13 @@ class CollectorNode(ros.FvsNode):
         self._run.joint_states(now_s, stamp_s, joints)
         self._ticker.on_joint_state(now_s, stamp_s)
 
-    def _on_feature(self, message: Any) -> None:
-        kind, frame = self._kind, self._config.feature_frame
+    def _on_feature(self, camera: int, kind: Kind, message: Any) -> None:
         try:
-            z = ros.from_feature(message, kind, frame, kind.feature.name)
+            z = ros.from_feature(message, kind, self._config.feature_frame, kind.feature.name)
         except ros.MessageError as error:
             self._run.fail(str(error))
             return
-        self._run.image(self.now_s(), ros.from_stamp(message.header.stamp), z)
+        self._run.image(self.now_s(), ros.from_stamp(message.header.stamp), z, camera)
 
     def _on_program_running(self, message: Bool) -> None:
         if not message.data:
@@ -118,15 +119,17 @@ class CollectorNode(ros.FvsNode):
     def _write(self) -> bool:
         """Write what was recorded; False if it is too little."""
         samples = self._run.samples
-        if len(samples) < _MIN_SAMPLES:
-            print(f"{len(samples)} positions are too few to be written", file=sys.stderr)
+        fewest = min(map(len, samples))
+        if fewest < _MIN_SAMPLES:
+            print(f"{fewest} positions are too few to be written", file=sys.stderr)
             return False
         data = data_set_of(
-            samples,
+            *samples,
             joint_names=tuple(self._names),
             feature_frame=self._config.feature_frame,
             feature=self._config.feature,
             camera_mount=self._config.camera_mount,
+            cameras=self._config.kind.cameras,
             provenance={
                 "collected": datetime.now(timezone.utc).isoformat(timespec="seconds"),
                 "simulated_time": bool(self._simulated_time),
@@ -135,21 +138,25 @@ class CollectorNode(ros.FvsNode):
             },
         )
         save_data_set(self._path, data)
-        print(f"{len(samples)} positions written to {self._path}", flush=True)
+        print(f"{len(data)} positions written to {self._path}", flush=True)
         return True
 
     # --- status ---
 
+    @property
+    def _positions(self) -> int:
+        return sum(map(len, self._run.samples))
+
     def _show_progress(self) -> None:
         self._bar.n = self._run.progress * self._config.duration_s
-        words = f"{len(self._run.samples)} positions, {self._run.reason}"
+        words = f"{self._positions} positions, {self._run.reason}"
         self._bar.set_postfix_str(words, refresh=False)
         self._bar.update(0)
 
     def _publish_status(self) -> None:
         run = self._run
         level = {State.FAILED: ros.ERROR, State.MOVING: ros.OK, State.DONE: ros.OK}
-        values = {"progress": run.progress, "positions": len(run.samples)}
+        values = {"progress": run.progress, "positions": self._positions}
         self.publish_status(level.get(run.state, ros.WARN), run.state.value, run.reason, values)
         self._show_progress()
 

@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
@@ -18,8 +18,8 @@ from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 from fvs_ros.kinds import KINDS, Kind, KindConfig
-from fvs_ros.kinds.kind import FIXED, MOUNTS, ON_ARM
-from fvs_ros.pixel_chain import AnyChain, PixelChain, Webcam
+from fvs_ros.kinds.kind import FIXED, MOUNTS, ON_ARM, UNNAMED
+from fvs_ros.pixel_chain import PixelChain, PixelChains, Webcam
 from fvs_ros.timeline import Sample
 from fvs_ros.vectors import check_arrays
 from fvs_ros.view import ViewConfig
@@ -50,19 +50,25 @@ class FileError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class _OfFeature:
-    """What was measured: the name of a kind of feature, its frame, and where the camera was."""
+    """What was measured: the name of a kind of feature, its frame, by which cameras, and where."""
 
     feature: str = KindConfig.feature
     camera_mount: str = KindConfig.camera_mount
     feature_frame: str = CAMERA_FRAME
+    cameras: tuple[str, ...] = (UNNAMED,)
     #: The field with measurements, (k, m).
-    _measured: ClassVar[str] = "z"
+    _measured: ClassVar[str] = "z_samples"
+
+    @property
+    def _count(self) -> int:
+        """Count of the numbers that the cameras measure at once."""
+        return int(getattr(self, self._measured).shape[1])
 
     @property
     def kind(self) -> Kind:
         """The kind of feature, with the usual parameters; a ``ValueError`` if m is not its own."""
-        count = getattr(self, self._measured).shape[1]
-        kind = KINDS[self.feature].of_numbers(count, self.camera_mount)
+        count = self._count
+        kind = KINDS[self.feature].of_numbers(count, self.camera_mount, self.cameras)
         if count != kind.numbers:
             raise ValueError(f"a {kind.name} has {kind.numbers} numbers, got {count}")
         return kind
@@ -75,18 +81,21 @@ class _OfFeature:
                 raise ValueError(f"{np.round(z, 3).tolist()} is no {kind.name}")
 
     def check(self, expected: KindConfig | None) -> None:
-        """A ``ValueError`` if another kind or frame was expected; None takes any."""
+        """A ``ValueError`` if another kind, frame or camera was expected; None takes any."""
         if expected is None:
             return
         frame, right = self.feature_frame, expected.feature_frame
         if frame != right:
             raise ValueError(f"positions in the frame {frame!r}, expected {right!r}")
-        made_for, right = (
-            f"{of.name} ({of.numbers} numbers), camera_mount {of.camera_mount}"
-            for of in (self.kind, expected.kind)
-        )
+        made_for, right = _words(self.kind), _words(expected.kind)
         if made_for != right:
             raise ValueError(f"made for feature {made_for}, expected {right}")
+
+
+def _words(kind: Kind) -> str:
+    words = f"{kind.name} ({kind.numbers} numbers), camera_mount {kind.camera_mount}"
+    cameras = ", ".join(kind.cameras) or "one without a name"
+    return words if kind.rigid else f"{words}, cameras: {cameras}"
 
 
 @dataclass(frozen=True)
@@ -100,7 +109,7 @@ class DataSet(_OfFeature):
     joints_rad : ndarray, shape (k, n)
         Joint positions at exposure, rad.
     z : ndarray, shape (k, m)
-        Measurements of the kind, such as ball positions, m.
+        Measurements of the kind, such as ball positions, m; each of one camera.
     segment : ndarray of int, shape (k,)
         Number of the continuous run a sample belongs to; never falls.
     joint_names : tuple of str, optional
@@ -111,13 +120,15 @@ class DataSet(_OfFeature):
         Where it comes from; anything that JSON can hold.
     still : bool
         Whether the arm stood still at every image: still poses.
+    camera : ndarray of int, shape (k,), or 0
+        Which of the ``cameras`` a sample is of; never falls.
     feature : str
         The kind of what was measured.
 
     Raises
     ------
     ValueError
-        If shapes do not fit, something is not finite, or stamps or segments go back.
+        If shapes do not fit, something is not finite, or stamps, segments or cameras go back.
     """
 
     stamps_s: np.ndarray
@@ -127,6 +138,8 @@ class DataSet(_OfFeature):
     joint_names: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     still: bool = False
+    camera: np.ndarray | int = 0
+    _measured: ClassVar[str] = "z"
 
     def __post_init__(self) -> None:
         n = check_arrays(self, _DATA_SET, {})["n"]
@@ -142,9 +155,33 @@ class DataSet(_OfFeature):
         same = np.diff(self.segment) == 0
         if np.any(np.diff(self.stamps_s)[same] <= 0.0):
             raise ValueError("stamps_s do not rise within a segment")
+        if np.ndim(self.camera):
+            check_arrays(self, {"camera": ("k",)}, {"k": len(self)})
+        camera, count = np.broadcast_to(self.camera, len(self)), len(self.cameras)
+        known = np.isin(camera, range(count)).all()
+        if not known or np.any(np.diff(camera) < 0) or np.any(np.diff(camera)[same]):
+            raise ValueError(
+                f"camera is not a number below {count} that never falls and is the same in a "
+                "segment"
+            )
+        object.__setattr__(self, "camera", camera.astype(np.int64) if count > 1 else 0)
 
     def __len__(self) -> int:
         return len(self.stamps_s)
+
+    @property
+    def _count(self) -> int:
+        return super()._count * len(self.cameras)
+
+    @property
+    def parts(self) -> tuple[DataSet, ...]:
+        """The samples of each camera."""
+        parts = []
+        for number, name in enumerate(self.cameras):
+            chosen = np.broadcast_to(self.camera, len(self)) == number
+            mine = {field: getattr(self, field)[chosen] for field in _DATA_SET}
+            parts.append(replace(self, **mine, camera=0, cameras=(name,)))
+        return tuple(parts)
 
     def runs(self) -> list[slice]:
         """The continuous runs, one after the other."""
@@ -152,10 +189,13 @@ class DataSet(_OfFeature):
         return [slice(a, b) for a, b in pairwise(ends)]
 
 
-def data_set_of(samples: Sequence[Sample], **particulars: Any) -> DataSet:
-    """A data set of samples; ``particulars`` are its other fields."""
+def data_set_of(*of_camera: Sequence[Sample], **particulars: Any) -> DataSet:
+    """A data set of the samples of each camera; ``particulars`` are its other fields."""
+    samples = [sample for samples in of_camera for sample in samples]
     stamps_s, joints_rad, z, run = (np.array(column) for column in zip(*samples, strict=True))
-    return DataSet(stamps_s, joints_rad, z, run, **particulars)
+    camera = np.repeat(np.arange(len(of_camera)), [len(samples) for samples in of_camera])
+    segment = run + camera * (run.max() + 1)
+    return DataSet(stamps_s, joints_rad, z, segment, camera=camera, **particulars)
 
 
 @dataclass(frozen=True)
@@ -178,8 +218,8 @@ class TrainedModel(_OfFeature):
         Error figures of the training, name to number.
     provenance : dict
         Where it comes from; anything that JSON can hold.
-    chain : SerialChain or PixelChain, optional
-        The chain fitted to the same data, for the method ``poe``.
+    chain : SerialChain or PixelChains, optional
+        The chain fitted to the same data, for the method ``poe``; before webcams, one for each.
     feature : str
         As of the data set.
 
@@ -195,8 +235,7 @@ class TrainedModel(_OfFeature):
     joint_names: tuple[str, ...]
     errors: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    chain: AnyChain | None = None
-    _measured: ClassVar[str] = "z_samples"
+    chain: SerialChain | PixelChains | None = None
 
     def __post_init__(self) -> None:
         n, m = self.model.weights.shape[:2]
@@ -234,6 +273,26 @@ class TrainedModel(_OfFeature):
         fitting = np.flatnonzero(mismatch_m <= max(0.02, mismatch_m.min()))
         return np.asarray(samples[rng.choice(fitting)])
 
+    def seen_by(self, cameras: tuple[str, ...]) -> TrainedModel:
+        """The same for some of its cameras, in this order."""
+        chosen, chain = [self.cameras.index(name) for name in cameras], self.chain
+        rows = np.arange(self.kind.numbers).reshape(len(self.cameras), -1)[chosen].ravel()
+        if isinstance(chain, PixelChains):
+            chain = PixelChains(tuple(chain.each[number] for number in chosen))
+        return replace(
+            self,
+            model=replace(self.model, weights=self.model.weights[:, rows]),
+            z_samples=self.z_samples[:, rows],
+            chain=chain,
+            cameras=cameras,
+        )
+
+    def figures(self, camera: str) -> dict[str, Any]:
+        """The error figures of a camera; if it is not the only one, its name is before theirs."""
+        before = f"{camera}_" if len(self.cameras) > 1 else ""
+        own = {name: value for name, value in self.errors.items() if name.startswith(before)}
+        return {name.removeprefix(before): value for name, value in own.items()}
+
     @property
     def notes(self) -> tuple[str, ...]:
         """What the training found that a user of the model should know, a sentence each."""
@@ -264,10 +323,12 @@ def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
     fields = {**vars(trained), **vars(trained.model)}
     del fields["model"]
     chain = fields.pop("chain")
-    if isinstance(chain, PixelChain):
-        fields["webcam"], chain = chain.webcam.numbers, chain.chain
-    if chain is not None:
-        fields |= {stored: getattr(chain, name) for stored, name in _CHAIN.items()}
+    arms = [] if chain is None else [chain]
+    if isinstance(chain, PixelChains):
+        fields["webcam"] = np.concatenate([each.webcam.numbers for each in chain.each])
+        arms = [each.chain for each in chain.each]
+    for stored, name in _CHAIN.items() if arms else ():
+        fields[stored] = np.concatenate([getattr(arm, name) for arm in arms])
     _write(path, "fvs_rbf_model", fields)
 
 
@@ -296,6 +357,7 @@ def load_data_set(
         data = DataSet(
             **{name: content[name] for name in _DATA_SET},
             **content.common,
+            camera=content.get("camera", 0),
             provenance=content.json("provenance"),
             still="still" in content and bool(content["still"].any()),
         )
@@ -308,25 +370,22 @@ def load_model(
     joint_names: Sequence[str] | None = None,
     expected: KindConfig | None = None,
 ) -> TrainedModel:
-    """Read and check a model; parameters and errors are those of :func:`load_data_set`."""
+    """Read and check a model; parameters and errors are those of :func:`load_data_set`.
+
+    Of a model of several cameras those that are expected are taken.
+    """
     with _content(path, "fvs_rbf_model", joint_names) as content:
-        chain: AnyChain | None = None
-        if any(name in content for name in _CHAIN):
-            content.setdefault("chain_lens", np.zeros(2))  # older files lack these
-            content.setdefault("chain_play_rad", np.zeros(len(content.common["joint_names"])))
-            numbers = {name: content[stored] for stored, name in _CHAIN.items()}
-            on_arm = content.common["camera_mount"] == ON_ARM
-            chain = arm = SerialChain(**numbers, on_arm=on_arm)
-            if "webcam" in content:
-                chain = PixelChain(arm, Webcam.of_numbers(content["webcam"]))
         trained = TrainedModel(
             RbfModel(*(content[name] for name in _NETWORKS)),
             **{name: content[name] for name in _MODEL},
             **content.common,
             errors=content.json("errors"),
             provenance=content.json("provenance"),
-            chain=chain,
+            chain=content.chain() if any(name in content for name in _CHAIN) else None,
         )
+        cameras = trained.cameras if expected is None else expected.kind.cameras
+        if cameras != trained.cameras and set(cameras) <= set(trained.cameras):
+            trained = trained.seen_by(cameras)
         trained.check(expected)
         return trained
 
@@ -434,7 +493,24 @@ class _Content(dict[str, Any]):
             "feature_frame": frame,
             "feature": feature,
             "camera_mount": mount,
+            "cameras": self.texts("cameras") if "cameras" in self else (UNNAMED,),
         }
+
+    def chain(self) -> SerialChain | PixelChains:
+        """The chain, or those before each webcam, one after the other in every array."""
+        count, names = len(self.common["cameras"]), self.common["joint_names"]
+        self.setdefault("chain_lens", np.zeros(2))  # older files lack these
+        self.setdefault("chain_play_rad", np.zeros(len(names)))
+        blocks = [np.split(np.atleast_1d(self[stored]), count) for stored in _CHAIN]
+        on_arm = self.common["camera_mount"] == ON_ARM
+        arms = [
+            SerialChain(**dict(zip(_CHAIN.values(), block, strict=True)), on_arm=on_arm)
+            for block in zip(*blocks, strict=True)
+        ]
+        if KINDS[self.common["feature"]].rigid:
+            return arms[0]
+        webcams = np.asarray(self["webcam"], dtype=float).reshape(count, -1)
+        return PixelChains(tuple(map(PixelChain, arms, map(Webcam.of_numbers, webcams))))
 
     def texts(self, name: str, dimensions: int = 1) -> tuple[str, ...]:
         """A list of texts, or a single one without dimensions."""

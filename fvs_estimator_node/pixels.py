@@ -8,7 +8,7 @@ import numpy as np
 
 from fvs_estimator_node.base import CHAIN, Estimator
 from fvs_ros.kinds import Kind
-from fvs_ros.pixel_chain import PixelChain
+from fvs_ros.pixel_chain import AnyChain
 
 
 class PixelPoeEstimator(Estimator):
@@ -17,12 +17,12 @@ class PixelPoeEstimator(Estimator):
     made_from = CHAIN
     learns = False
 
-    def __init__(self, chain: PixelChain, _config: Any = None, kind: Kind | None = None) -> None:
+    def __init__(self, chain: AnyChain, _config: Any = None, kind: Kind | None = None) -> None:
         super().__init__(kind)
         self._chain = chain
 
     @property
-    def chain(self) -> PixelChain:
+    def chain(self) -> AnyChain:
         """The chain as it was fitted."""
         return self._chain
 

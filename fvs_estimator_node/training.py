@@ -23,7 +23,7 @@ from fvs_estimator_node.pixel_fit import WEBCAM_FIGURES, PixelFit, fit_pixels
 from fvs_estimator_node.rbf import RbfModel, rbf_features
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind
-from fvs_ros.pixel_chain import AnyChain
+from fvs_ros.pixel_chain import AnyChain, PixelChain, PixelChains
 
 #: Each method with its usual number of neurons, which cost little where samples are free.
 METHODS = {"varpro": 50, "ridge": 50, "poe": 100}
@@ -92,7 +92,8 @@ def train(
     TrainedModel
         With ``errors``: the figures of the chain's fit; ``jacobian_deviation``, the relative
         standard deviation of its Jacobian in the box (median); ``distillation_error``, the
-        networks' relative error against the chain (median); and for networks from pairs
+        networks' relative error against the chain (median); of several cameras, each figure of a
+        fit for each, with the camera's name before it; and for networks from pairs
         ``pair_error_m``, the rms error between two held-out images, with the noise of both, m.
 
     Raises
@@ -108,6 +109,10 @@ def train(
             "pairs of images of one object do not tell how a camera on the arm sees another: train "
             "with the method poe"
         )
+    if len(data.cameras) > 1:
+        if not poe:
+            raise TrainingError("pairs of images are of one camera: train with the method poe")
+        return _of_several(data, options, rng, say)
     fit, why = _fitted(data, say, needed=poe)
     if fit is not None and fit.chain.play_rad.any():
         data = behind_play(data, fit.chain.play_rad)
@@ -128,6 +133,9 @@ def train(
         plays = zip(data.joint_names, np.degrees(fit.chain.play_rad), strict=True)
         text = ", ".join(f"{name} {play:.1f}" for name, play in plays if play)
         notes.append(f"play between motors and joints, allowed for by poe, degrees: {text}")
+    chain: Any = fit.chain if fit is not None and not why else None
+    if isinstance(chain, PixelChain):
+        chain = PixelChains((chain,))
     came_from = {"method": options.method, "options": asdict(options), "no_chain": why}
     return TrainedModel(
         model,
@@ -136,10 +144,53 @@ def train(
         feature_frame=data.feature_frame,
         feature=data.feature,
         camera_mount=data.camera_mount,
+        cameras=data.cameras,
         errors=errors,
         provenance={**came_from, "data": dict(data.provenance), "notes": notes},
-        chain=fit.chain if fit is not None and not why else None,
+        chain=chain,
     )
+
+
+def _of_several(
+    data: DataSet,
+    options: TrainingOptions,
+    rng: np.random.Generator,
+    say: Callable[[str], None] | None,
+) -> TrainedModel:
+    """Networks of all cameras at once, distilled from a chain before each."""
+    each = list[TrainedModel]()
+    for camera, part in zip(data.cameras, data.parts, strict=True):
+        try:
+            each.append(train(part, options, say=say and _named(camera, say)))
+        except ValueError as error:
+            raise TrainingError(f"{camera}: {error}") from error
+    chains = (trained.chain for trained in each)
+    chain = PixelChains(tuple(one.each[0] for one in chains if isinstance(one, PixelChains)))
+    # What all would show at once, each within what it has shown.
+    z = chain.position(data.joints_rad)
+    least, most = (
+        np.concatenate([end(trained.z_samples, axis=0) for trained in each])
+        for end in (np.min, np.max)
+    )
+    in_view = np.all((least <= z) & (z <= most), axis=1)
+    if not in_view.any():
+        raise TrainingError(f"all cameras never see the {data.kind.what} at once: move one")
+    trained_on = range_of(data.joints_rad[in_view], z[in_view], rng)
+    model = distil(chain, trained_on["joint_box_rad"], options.count, rng)
+    several = replace(each[0], model=model, **trained_on, cameras=data.cameras, chain=chain)
+    judged_rad = _within(trained_on["joint_box_rad"], rng, _JUDGED)
+    errors, notes = dict[str, Any](), list[str]()
+    for camera, trained in zip(data.cameras, each, strict=True):
+        own = several.seen_by((camera,))
+        missed = _missed(own.model, own.chain, judged_rad, own.kind.learned)
+        figures = {**trained.errors, "distillation_error": missed}
+        errors |= {f"{camera}_{name}": value for name, value in figures.items()}
+        notes += [f"{camera}: {note}" for note in trained.notes]
+    return replace(several, errors=errors, provenance={**several.provenance, "notes": notes})
+
+
+def _named(camera: str, say: Callable[[str], None]) -> Callable[[str], None]:
+    return lambda words: say(f"{camera}: {words}")
 
 
 def _fitted(
@@ -233,13 +284,18 @@ def _figures(
     fit: AnyFit, model: RbfModel, joints_rad: np.ndarray, unit: np.ndarray
 ) -> dict[str, Any]:
     """Figures of a fit for the model file, without unknown ones (a model file holds no NaN)."""
-    truth = unit[:, None] * learned(fit.chain, joints_rad)
-    error = np.linalg.norm(unit[:, None] * model.jacobian(joints_rad) - truth, axis=(1, 2))
     figures = fit.figures()
     deviation = fit.jacobian_deviation(joints_rad[: _JUDGED // 10])
     figures["jacobian_deviation"] = float(np.median(deviation))
-    figures["distillation_error"] = float(np.median(error / np.linalg.norm(truth, axis=(1, 2))))
+    figures["distillation_error"] = _missed(model, fit.chain, joints_rad, unit)
     return {name: value for name, value in figures.items() if math.isfinite(value)}
+
+
+def _missed(model: RbfModel, chain: Any, joints_rad: np.ndarray, unit: np.ndarray) -> float:
+    """Relative error of networks against a chain, median over joints, rad, (k, n)."""
+    truth = unit[:, None] * learned(chain, joints_rad)
+    error = np.linalg.norm(unit[:, None] * model.jacobian(joints_rad) - truth, axis=(1, 2))
+    return float(np.median(error / np.linalg.norm(truth, axis=(1, 2))))
 
 
 def lens_text(errors: Mapping[str, Any]) -> str:

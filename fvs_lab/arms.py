@@ -66,7 +66,7 @@ def collect(simulation: Simulation, config: CollectorConfig, late_s: float = 0.0
         simulation.command(command)
     names = simulation.world.joint_names
     seen = {"feature": config.feature, "camera_mount": config.camera_mount}
-    return data_set_of(run.samples, joint_names=names, **seen)
+    return data_set_of(*run.samples, joint_names=names, **seen)
 
 
 def learn(arm: str, duration_s: float) -> tuple[TrainedModel, float]:

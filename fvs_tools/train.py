@@ -109,8 +109,17 @@ def check_output(path: Path) -> None:
 
 
 def report(trained: TrainedModel) -> str:
-    """The printed summary: errors, chain fit, box."""
-    e, lines, text = trained.errors, [""], trained.kind.length_text
+    """The printed summary: errors and chain fit by each camera, box."""
+    lines, cameras = [""], trained.cameras
+    for camera in cameras:
+        lines += [f"camera {camera}:"] * (len(cameras) > 1) + _fit_lines(trained, camera)
+    low, high = (", ".join(f"{v:.2f}" for v in side) for side in trained.joint_box_rad)
+    lines += [f"joints from [{low}]", f"         to [{high}] rad"]
+    return "\n".join(lines)
+
+
+def _fit_lines(trained: TrainedModel, camera: str) -> list[str]:
+    e, lines, text = trained.figures(camera), list[str](), trained.kind.length_text
     if "pair_error_m" in e:
         lines.append(
             f"between held-out images: {text(e['pair_error_m'], 2)} rms, "
@@ -137,13 +146,7 @@ def report(trained: TrainedModel) -> str:
                 f"noise of a position: {text(e['ray_noise_m'], 2)} along the line of sight, "
                 f"{text(e['lateral_noise_m'], 2)} across"
             )
-    low, high = (", ".join(f"{v:.2f}" for v in side) for side in trained.joint_box_rad)
-    lines += [
-        f"joints from [{low}]",
-        f"         to [{high}] rad",
-        f"{e['samples']} images, {e['outliers']} left out",
-    ]
-    return "\n".join(lines)
+    return [*lines, f"{e['samples']} images, {e['outliers']} left out"]
 
 
 if __name__ == "__main__":

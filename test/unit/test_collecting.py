@@ -8,8 +8,10 @@ import pytest
 from cases import each
 
 from fvs_estimator_node.collecting import GIVE_UP_S, CollectionRun, CollectorConfig, State
+from fvs_estimator_node.files import data_set_of
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.joints import UR_POSITION_LIMITS_RAD
+from fvs_ros.kinds.points import Points
 from fvs_ros.limits import with_urdf_limits
 from fvs_ros.paths import find_file
 from fvs_ros.urdf import read_joints
@@ -154,6 +156,40 @@ def test_lost_input_stops_or_turns_the_arm_until_it_is_back_or_ends_the_run(sour
     assert not np.any(cell.last)
 
 
+def test_a_camera_that_sees_nothing_turns_the_arm_only_with_all_others():
+    run = CollectionRun(
+        CollectorConfig(duration_s=60.0, feature="points", points=Points(cameras=("left", "right")))
+    )
+    joints, now_s = HOME, 5.0
+
+    def advance(seconds, *cameras):
+        nonlocal joints, now_s
+        for tick in range(round(seconds / DT_S)):
+            now_s += DT_S
+            run.joint_states(now_s, now_s, joints)
+            for camera in cameras if tick % 4 == 0 else ():
+                run.image(now_s, now_s, 300.0 + 50.0 * joints[:2], camera)
+            joints = joints + DT_S * run.tick(now_s, DT_S)
+        return run.state
+
+    assert advance(2.0, 0) is State.WAITING
+    assert run.reason == "no right/image_points (none so far)"
+    assert not np.any(joints - HOME)
+    assert advance(3.0, 0, 1) is State.MOVING
+    assert advance(3.0, 1) is State.MOVING
+    assert "; no left/image_points (last 3.0 s ago)" in run.reason
+    assert advance(1.0) is State.RETURNING
+    for name in ("left", "right"):
+        assert f"no {name}/image_points" in run.reason
+    assert advance(2.0, 0) is State.MOVING
+    data = data_set_of(*run.samples, cameras=("left", "right"), feature="points")
+    left, right = data.parts
+    assert [len(part) for part in data.parts] == [len(samples) for samples in run.samples]
+    assert len(left.runs()) == 2
+    assert len(right.runs()) == 1
+    assert [part.cameras for part in data.parts] == [("left",), ("right",)]
+
+
 @each(
     ("joint", "sign", "words"),
     [(3, -1.0, "wrist_1_joint moves against its command"), (slice(6), 0.0, "does not follow")],
@@ -229,7 +265,7 @@ def test_a_stall_takes_no_joint_beyond_its_range_and_the_run_goes_on(longest_s, 
         assert run.state is State.DONE, run.reason
         assert run.progress == 1.0
         assert beyond <= 0.0
-        assert len(run.samples) > 500
+        assert len(run.samples[0]) > 500
 
 
 @each("comes_s", [0.5, 4.0])  # in time, in motion
@@ -306,7 +342,7 @@ def test_the_object_stays_in_view_of_a_camera_on_the_arm(feature, half_rad, loss
         states.append(run.reason.startswith("no object"))
     assert run.state is State.DONE
     assert np.count_nonzero(np.diff(states) > 0) <= losses
-    assert np.std([sample.joints_rad for sample in run.samples], axis=0).min() > 0.05
+    assert np.std([sample.joints_rad for sample in run.samples[0]], axis=0).min() > 0.05
 
 
 # ---- the motion ---------------------------------------------------------------------------

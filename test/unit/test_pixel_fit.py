@@ -8,12 +8,24 @@ from cases import each
 from recordings import relative_error, seen_from_anywhere
 
 from fvs_estimator_node.chain_fit import ChainFitError
-from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.files import (
+    DataSet,
+    FileError,
+    load_data_set,
+    load_model,
+    save_data_set,
+    save_model,
+)
 from fvs_estimator_node.joint_path import Path
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_estimator_node.pairs import TrainingError
 from fvs_estimator_node.pixel_fit import changed, fit_pixels, residuals
+from fvs_estimator_node.training import TrainingOptions, train
 from fvs_ros.chain import SerialChain
+from fvs_ros.kinds import KindConfig
+from fvs_ros.kinds.points import Points
 from fvs_ros.pixel_chain import PixelChain, Webcam
+from fvs_tools.train import report
 
 #: With a rolling shutter that takes 20 ms for a picture of 480 rows.
 LENS = Webcam(560.0, (310.0, 255.0), -0.25, 0.06, 4e-5)
@@ -36,12 +48,12 @@ def strange_arm(joints, rng):
     return SerialChain(rng.normal(size=(joints, 3)), points, ball, np.zeros(joints))
 
 
-def recorded(model, seconds=60.0, noise_px=NOISE_PX, outliers=0.0, seed=0):
+def recorded(model, seconds=60.0, noise_px=NOISE_PX, outliers=0.0, seed=0, rate_hz=RATE_HZ):
     """What the camera records of random motion about the reference joints."""
     reference, rng = model.chain.reference_rad, np.random.default_rng([seed, 5])
     names = tuple(f"joint_{i + 1}" for i in range(len(reference)))
     config = MotionConfig(joint_names=names, joint_range_rad=(REACH_RAD,))
-    motion, stamps = RandomMotion(reference, config, rng), np.arange(1.0, seconds, 1.0 / RATE_HZ)
+    motion, stamps = RandomMotion(reference, config, rng), np.arange(1.0, seconds, 1.0 / rate_hz)
     exposed_s = stamps - model.webcam.late_s
     z = model.position(motion.path(exposed_s)[0])
     rows = z[:, 1::2] - z[:, 1::2].mean()
@@ -103,6 +115,57 @@ def test_a_minute_tells_arm_and_lens(chain, points, outliers):
     assert off.max() < 4.0
     assert fit.misfit == pytest.approx(1.0, abs=0.1)
     assert fit.outliers == pytest.approx(outliers * fit.samples, abs=0.015 * fit.samples)
+
+
+def test_two_webcams_of_other_lenses_rates_and_delays(tmp_path):
+    front = before_camera(seen_from_anywhere(np.random.default_rng(1)))
+    side = before_camera(seen_from_anywhere(np.random.default_rng(2)))
+    side = replace(side, webcam=Webcam(640.0, (330.0, 235.0), -0.1, 0.02))
+    models, cameras = (front, side), ("front", "side")
+    parts = recorded(front), recorded(side, 40.0, rate_hz=25.0)
+    columns = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("stamps_s", "joints_rad", "z")
+    )
+    camera = np.repeat([0, 1], [len(part) for part in parts])
+    data = DataSet(*columns, camera, camera=camera, cameras=cameras, feature="points")
+    with pytest.raises(TrainingError, match="of one camera: train with the method poe"):
+        train(data, TrainingOptions("ridge"))
+
+    save_data_set(tmp_path / "d.npz", data)
+    data = load_data_set(tmp_path / "d.npz")
+    save_model(tmp_path / "m.npz", train(data, TrainingOptions("poe")))
+    joints = box_of(front)
+
+    def judge(chosen):
+        kind = Points(cameras=chosen)
+        trained = load_model(tmp_path / "m.npz", None, KindConfig(feature="points", points=kind))
+        assert (trained.kind, trained.cameras) == (kind, chosen)
+        for name, rows in zip(chosen, kind.rows, strict=True):
+            true = models[cameras.index(name)].jacobian(joints)
+            by_chain = relative_error(trained.chain.jacobian(joints)[:, rows], true)
+            by_networks = relative_error(trained.model.jacobian(joints)[:, rows], true)
+            assert np.median(by_chain) < 0.003
+            assert np.median(by_networks) < 0.01
+        return trained
+
+    trained = judge(cameras)
+    assert trained.errors["front_focal_px"] == pytest.approx(560.0, rel=0.02)
+    assert trained.errors["side_focal_px"] == pytest.approx(640.0, rel=0.02)
+    assert trained.errors["side_samples"] < trained.errors["front_samples"]
+    assert [note[:6] for note in trained.notes] == ["front:", "side: "]  # of the delays
+    text = report(trained)
+    assert "camera side:\nJacobian of the chain" in text
+    for own, rows in zip(data.parts, trained.kind.rows, strict=True):
+        z = trained.z_samples[:, rows]
+        assert np.all((own.z.min(axis=0) <= z) & (z <= own.z.max(axis=0)))
+    judge(("side",))
+    judge(("side", "front"))
+    for other in (("left",), ("",), ("front", "left")):
+        kind = KindConfig(feature="points", points=Points(cameras=other))
+        words = f"cameras: front, side, expected .* cameras: {', '.join(other) or 'one without'}"
+        with pytest.raises(FileError, match=words):
+            load_model(tmp_path / "m.npz", None, kind)
 
 
 def test_still_poses_will_do():
