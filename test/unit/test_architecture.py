@@ -28,7 +28,7 @@ IMAGES = "fvs_ros/ros/images.py"
 BAGS = "fvs_tools/recorded.py"  # decodes messages that come from a file
 TRAINING = "fvs_estimator_node/varpro.py"
 SIMULATOR = "fvs_sim_node"
-GROUND_MAY_IMPORT = {"numpy", "yaml", "fvs_ros"}
+GROUND_MAY_IMPORT = {"numpy", "scipy", "yaml", "fvs_ros"}
 
 
 def imported_modules(path, source):
