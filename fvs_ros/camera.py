@@ -7,9 +7,7 @@ optical: x right, y down, z forward.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -57,14 +55,6 @@ class Intrinsics:
     cx: float
     cy: float
 
-    def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"image size must be positive, got {self.width}x{self.height}")
-        if not all(map(isfinite, (self.fx, self.fy, self.cx, self.cy))):
-            raise ValueError("intrinsics must be finite")
-        if self.fx <= 0.0 or self.fy <= 0.0:
-            raise ValueError(f"focal lengths must be positive, got fx={self.fx} fy={self.fy}")
-
     @classmethod
     def of_pixels(cls, width: int, height: int) -> Intrinsics:
         """Of a camera of which nothing is known: its rays are the pixels themselves."""
@@ -82,24 +72,9 @@ class Intrinsics:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, point_m: np.ndarray) -> np.ndarray:
-        """Pixel coordinates of points in the camera frame.
-
-        Parameters
-        ----------
-        point_m : ndarray, shape (..., 3)
-            Points in the optical frame, m, with z > 0.
-
-        Returns
-        -------
-        ndarray, shape (..., 2)
-            (u, v), pixels.
-        """
+        """Pixels (u, v), (..., 2), of points in the camera's frame, m, (..., 3), with z > 0."""
         point = np.asarray(point_m, dtype=float)
-        z = point[..., 2]
-        return np.stack(
-            [self.fx * point[..., 0] / z + self.cx, self.fy * point[..., 1] / z + self.cy],
-            axis=-1,
-        )
+        return (self.fx, self.fy) * point[..., :2] / point[..., 2:] + (self.cx, self.cy)
 
     def contains(self, points_px: np.ndarray) -> bool:
         """Whether points, pixels, (..., 2), are all in the image."""
@@ -107,18 +82,7 @@ class Intrinsics:
         return bool(np.all((points_px >= 0.0) & (points_px < size)))
 
     def rays(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Viewing rays with z = 1 through pixels.
-
-        Parameters
-        ----------
-        u, v : array_like
-            Pixel coordinates of one shape (...).
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            (x/z, y/z, 1); times a depth it is the point.
-        """
+        """Rays (x/z, y/z, 1), (..., 3), through pixels u and v of one shape (...)."""
         x = (np.asarray(u, dtype=float) - self.cx) / self.fx
         y = (np.asarray(v, dtype=float) - self.cy) / self.fy
         return np.stack([x, y, np.ones_like(x)], axis=-1)
@@ -183,8 +147,20 @@ def camera_model(info: Any) -> CameraModel:
     A ``ValueError`` says why it cannot be used.
     """
     width, height, k = info.width, info.height, [float(number) for number in info.k]
-    _check_matrix(width, height, k)
-    fx, fy, cx, cy = (k[i] for i in (0, 4, 2, 5))
+    fx, skew, cx, zero, fy, cy, *last = k
+    size = f"an image of {width}x{height}"
+    if fx == 0.0:
+        raise ValueError("camera_info has K[0] = 0: the camera is not calibrated")
+    if [skew, zero, *last] != [0.0, 0.0, 0.0, 0.0, 1.0]:
+        raise ValueError(f"camera_info has K = {k}, expected [fx 0 cx 0 fy cy 0 0 1]")
+    if not 0.05 * width < fx < 100.0 * width or not 0.05 * height < fy < 100.0 * height:
+        raise ValueError(
+            f"camera_info has focal lengths {fx:g} and {fy:g} px, which do not fit {size}"
+        )
+    if not -width < cx < 2.0 * width or not -height < cy < 2.0 * height:
+        raise ValueError(
+            f"camera_info has its principal point at ({cx:g}, {cy:g}), far out of {size}"
+        )
     if max(info.binning_x, info.binning_y) > 1:
         raise ValueError("camera_info has binning, which is not supported: switch it off")
     u0, v0 = info.roi.x_offset, info.roi.y_offset
@@ -200,20 +176,3 @@ def camera_model(info: Any) -> CameraModel:
     while values and values[-1] == 0.0 and len(values) not in DISTORTION_MODELS.get(name, ()):
         values.pop()
     return CameraModel(intrinsics, name, tuple(values))
-
-
-def _check_matrix(width: int, height: int, k: Sequence[float]) -> None:
-    fx, skew, cx, zero, fy, cy, *last = k
-    size = f"an image of {width}x{height}"
-    if fx == 0.0:
-        raise ValueError("camera_info has K[0] = 0: the camera is not calibrated")
-    if skew != 0.0 or zero != 0.0 or list(last) != [0.0, 0.0, 1.0]:
-        raise ValueError(f"camera_info has K = {list(k)}, expected [fx 0 cx 0 fy cy 0 0 1]")
-    if not 0.05 * width < fx < 100.0 * width or not 0.05 * height < fy < 100.0 * height:
-        raise ValueError(
-            f"camera_info has focal lengths {fx:g} and {fy:g} px, which do not fit {size}"
-        )
-    if not -width < cx < 2.0 * width or not -height < cy < 2.0 * height:
-        raise ValueError(
-            f"camera_info has its principal point at ({cx:g}, {cy:g}), far out of {size}"
-        )
