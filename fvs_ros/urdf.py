@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping
@@ -12,6 +11,7 @@ from typing import NoReturn
 from xml.parsers import expat
 
 from fvs_ros.vectors import LARGEST
+from fvs_ros.yaml_text import read_yaml
 
 _MOVING = ("revolute", "continuous", "prismatic")
 #: A joint of these types is where an arm's base stands on whatever carries it.
@@ -74,15 +74,9 @@ def read_robot(source: str | bytes) -> ET.Element:
     root = builder.close()
     if root.tag != "robot":
         raise ValueError(f"a URDF has one <robot>, got <{root.tag[:40]}>")
-    values = (
-        value
-        for joint in root.iter("joint")
-        for element in joint.iter()
-        for value in element.attrib.values()
-    )
-    if any(element.tag.startswith("xacro:") for element in root) or any(
-        "${" in value for value in values
-    ):
+    parts = (part for joint in root.iter("joint") for part in joint.iter())
+    values = " ".join(value for part in parts for value in part.attrib.values())
+    if any(element.tag.startswith("xacro:") for element in root) or "${" in values:
         raise ValueError(_XACRO)
     robot = ET.Element("robot", name=root.get("name", ""))
     robot.extend(element for element in root if element.tag in _KNOWN)
@@ -106,17 +100,10 @@ def _decoded(data: bytes) -> str:
 def _unquoted(text: str) -> str:
     """From the first tag to the last, without the quotes of the YAML around it."""
     start, end = text.find("<"), text.rfind(">") + 1
-    before, body = text[start - 1 : start], text[start:end]
-    if before == "'":
-        return body.replace("''", "'")
-    if before == '"':
-        folded = re.sub(r"\\\n\s*\\?", "", body)
-        as_json = re.sub(r"\\x(?=..)", r"\\u00", folded)  # the other escapes are JSON's
-        try:
-            return str(json.loads(f'"{as_json}"', strict=False))
-        except ValueError as error:
-            raise ValueError(f"the URDF is no quoted text: {error}") from None
-    return body
+    quote = text[start - 1 : start]
+    if quote and quote in "'\"":
+        return str(read_yaml(f"{quote}{text[start:end]}{quote}"))
+    return text[start:end]
 
 
 def read_joints(source: str | bytes | ET.Element) -> dict[str, UrdfJoint]:
