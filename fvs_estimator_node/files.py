@@ -142,7 +142,7 @@ class DataSet(_OfFeature):
     _measured: ClassVar[str] = "z"
 
     def __post_init__(self) -> None:
-        n = check_arrays(self, _DATA_SET, {})["n"]
+        n = check_arrays(self, _DATA_SET)["n"]
         self._check_numbers()
         names = tuple(self.joint_names) or tuple(f"joint_{i + 1}" for i in range(n))
         if len(names) != n:
@@ -156,7 +156,7 @@ class DataSet(_OfFeature):
         if np.any(np.diff(self.stamps_s)[same] <= 0.0):
             raise ValueError("stamps_s do not rise within a segment")
         if np.ndim(self.camera):
-            check_arrays(self, {"camera": ("k",)}, {"k": len(self)})
+            check_arrays(self, {"camera": ("k",)}, k=len(self))
         camera, count = np.broadcast_to(self.camera, len(self)), len(self.cameras)
         known = np.isin(camera, range(count)).all()
         if not known or np.any(np.diff(camera) < 0) or np.any(np.diff(camera)[same]):
@@ -246,7 +246,7 @@ class TrainedModel(_OfFeature):
                 f"{len(self.joint_names)} joint names, networks of {n} and a chain of {joints} "
                 "joints do not fit together"
             )
-        check_arrays(self, _MODEL, {"n": n})
+        check_arrays(self, _MODEL, n=n)
         self._check_numbers()
         if self.chain is not None and self.chain.numbers != self.kind.numbers:
             raise ValueError(f"a chain of {self.chain.numbers} numbers is for no {self.kind.name}")

@@ -44,7 +44,7 @@ class RbfModel:
 
     def __post_init__(self) -> None:
         shapes = {"centres": ("n", "k", "n"), "widths": ("n", "k"), "weights": ("n", "m", "k")}
-        if min(check_arrays(self, shapes, {}).values()) < 1:
+        if min(check_arrays(self, shapes).values()) < 1:
             raise ValueError("the networks have no neurons")
         if self.widths.min() <= 0.0:
             raise ValueError(f"widths must be positive, the smallest is {self.widths.min():g}")

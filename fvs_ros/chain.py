@@ -125,7 +125,7 @@ class SerialChain:
         for name, size in (("prismatic", joints), ("lens", 2), ("play_rad", joints)):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.zeros(size))
-        check_arrays(self, CHAIN_SHAPES, {})
+        check_arrays(self, CHAIN_SHAPES)
         for name in CHAIN_SHAPES:
             if not plausible(getattr(self, name)):
                 raise ValueError(f"{name} of a chain holds a number above {LARGEST:g} m")

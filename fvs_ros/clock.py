@@ -71,14 +71,7 @@ class LoopClock:
     """Seconds for ages and time-outs; they never jump and never go back.
 
     In simulated time a busy machine makes nothing late. If simulated time stops, real time
-    replaces it.
-
-    Parameters
-    ----------
-    simulated_s : callable, optional
-        Returns simulated time, s; without it, time is real.
-    steady_s : callable
-        Returns real time, s.
+    replaces it. Without ``simulated_s``, which returns simulated time, s, time is real.
     """
 
     def __init__(

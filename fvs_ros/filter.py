@@ -39,30 +39,14 @@ _QUARTILE = -0.6745
 
 
 class Image(NamedTuple):
-    """One image, and the joints at its exposure.
+    """One image, and the joints at its exposure."""
 
-    Parameters
-    ----------
-    stamp_s : float
-        Exposure, s.
-    joints_rad : ndarray, shape (n,)
-        Joints then, rad.
-    z : ndarray, shape (m,)
-        What was measured.
-    seen_m : ndarray, shape (d,)
-        The path of z up to here: the sum of its motions, m.
-    moved_m : ndarray, shape (d,)
-        The part of it that the joints explain, ``sum J dr``, from any origin, m.
-    run : int
-        Number of the continuous run it belongs to.
-    """
-
-    stamp_s: float
-    joints_rad: np.ndarray
-    z: np.ndarray
-    seen_m: np.ndarray
-    moved_m: np.ndarray
-    run: int = 0
+    stamp_s: float  #: exposure, s
+    joints_rad: np.ndarray  #: joints then, rad, (n,)
+    z: np.ndarray  #: what was measured, (m,)
+    seen_m: np.ndarray  #: the path of z up to here: the sum of its motions, m, (d,)
+    moved_m: np.ndarray  #: the part of it that the joints explain, sum J dr, from any origin, m
+    run: int = 0  #: number of the continuous run it belongs to
 
 
 class NoiseVariance:
@@ -71,21 +55,8 @@ class NoiseVariance:
     A divided difference of the second order is blind to a steady drift (a wrong Jacobian, a camera
     that is carried), one of the third to a steady acceleration as well. The lower quartile of its
     squares over that of a chi-square distribution (Wilson and Hilferty) is not moved by outliers
-    now and then.
-
-    Parameters
-    ----------
-    order : int
-        Of the difference.
-    least_m : float
-        Least standard deviation, m.
-    pooled : bool
-        Whether all coordinates have the same variance.
-
-    Attributes
-    ----------
-    variance_m2 : ndarray, shape (1,) or (d,)
-        Of each coordinate, or of all, m^2.
+    now and then. ``variance_m2`` is of at least the square of ``least_m``: (1,) if all coordinates
+    are pooled, else (d,).
     """
 
     def __init__(self, order: int = 2, least_m: float = _LEAST_M, pooled: bool = True) -> None:
@@ -132,31 +103,21 @@ class PathFilter:
         c -> (1 - K) c,    P -> (1 - K)^2 P + K^2 R.
 
     At rest it averages the noise away; in motion it follows the images.
-
-    Attributes
-    ----------
-    x : ndarray, shape (d,), or None
-        The path at the newest image, m.
-    moved_m : ndarray, shape (d,)
-        What the joints had moved by then, m.
-    jumps : int
-        How often the path began anew, after a jump that no joint motion explains.
-    outliers : list
-        The newest images with their innovations, m, (d,), that are off, and not yet confirmed.
     """
 
     def __init__(self) -> None:
         self.noise = NoiseVariance()
-        self.jumps = 0
+        self.jumps = 0  #: how often the path began anew, after a jump that no motion explains
         self.restart()
 
     def restart(self) -> None:
         """Forget the path; the learned noise stays."""
-        self.x: np.ndarray | None = None
-        self.moved_m = np.zeros(0)
+        self.x: np.ndarray | None = None  #: the path at the newest image, m, (d,)
+        self.moved_m = np.zeros(0)  #: what the joints had moved by then, m, (d,)
         self._P = 0.0
         self._c = np.zeros(0)
         self._mean = np.zeros(0)  # of the last innovations
+        #: The newest images, with their innovations, m, (d,), that are off, and not yet confirmed.
         self.outliers: list[tuple[Image, np.ndarray]] = []
         self.noise.restart()
 
@@ -174,13 +135,9 @@ class PathFilter:
         return self._P + _MODEL_ERROR**2 * float(self._c.dot(self._c))
 
     def add(self, image: Image) -> list[Image]:
-        """Take an image.
+        """Take an image; returns those that are accepted now, oldest first.
 
-        Returns
-        -------
-        list of Image
-            Those that are accepted now, oldest first: this one; none, for an outlier; this one and
-            the outlier before it, where they agree.
+        This one; none, for an outlier; this one and the outlier before it, where they agree.
         """
         if self.x is None:
             return self._begin(image)
@@ -204,21 +161,15 @@ class PathFilter:
         before = self.outliers[-1] if self.outliers else None
         self.outliers.append((image, innovation))
         agreed = [image]
-        if before is not None and self._agree(before[1], innovation, motion):
+        # Two outliers in a row that agree show a camera or tool that was moved: detection errors
+        # seldom repeat. The motion in between may be wrong altogether once a camera was turned.
+        near_m = OUTLIER * 2.0**0.5 * self.noise_m + 2.0 * length(motion)
+        if before is not None and length(innovation - before[1]) <= near_m:
             agreed = [before[0], image]
         elif len(self.outliers) < _REPEATS:
             return []
         self.jumps += 1
         return self._begin(*agreed)
-
-    def _agree(self, first_m: np.ndarray, second_m: np.ndarray, motion_m: np.ndarray) -> bool:
-        """Whether two outliers in a row, m, (d,), agree: the camera or the tool was moved.
-
-        Detection errors seldom repeat. The predicted motion in between may be entirely wrong after
-        the camera was turned.
-        """
-        apart_m = length(second_m - first_m)
-        return apart_m <= OUTLIER * 2.0**0.5 * self.noise_m + 2.0 * length(motion_m)
 
     def _begin(self, *images: Image) -> list[Image]:
         image, self.outliers = images[-1], []

@@ -61,19 +61,8 @@ class JointMap:
     """Picks the wanted joints, by name, out of messages in any order and with extra joints.
 
     Where a driver wraps a joint, at pi or elsewhere, its positions go on; a step that no joint can
-    make is refused.
-
-    Parameters
-    ----------
-    names : sequence of str
-        The joint names in kinematic order.
-    tf_prefix : str
-        What the robot's driver puts before each of them (its ``tf_prefix``).
-
-    Attributes
-    ----------
-    middle_rad : ndarray or None
-        The first positions are within half a turn of these, rad, (n,); None: as they come.
+    make is refused. The robot's driver puts ``tf_prefix`` before each name. The first positions are
+    within half a turn of ``middle_rad``, rad, (n,), if that is set.
 
     Raises
     ------
@@ -97,21 +86,9 @@ class JointMap:
     def positions(
         self, names: Sequence[str], values: Sequence[float], stamp_s: float | None = None
     ) -> np.ndarray:
-        """Joint angles in kinematic order.
+        """Angles, rad, (n,), in kinematic order, of a message with these names and values.
 
-        Parameters
-        ----------
-        names : sequence of str
-            Joint names of the message.
-        values : sequence of float
-            Angles of the message, rad, one for each name.
-        stamp_s : float, optional
-            Stamp of the message, s; without it positions are as they come, with any step.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Angles, rad, kinematic order; finite and plausible.
+        They are finite and plausible. Without a stamp, s, they are as they come, with any step.
 
         Raises
         ------

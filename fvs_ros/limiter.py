@@ -23,18 +23,9 @@ class CommandLimiter:
     there is one, and of the joints' ranges. A joint that nears an end of its range is slowed alone,
     so the others continue and the arm slides along the limit. Away from the end it is free.
 
-    Parameters
-    ----------
-    limits : JointLimits
-        Of the n joints.
-    hold_s : float
-        The driver holds a command for so long, s, if the next one is late: until then no joint
-        leaves its range. 0: for the tick alone.
-
-    Attributes
-    ----------
-    velocity_rad_s : ndarray, shape (n,)
-        The last command, rad/s; not to be changed in place.
+    The driver holds a command for ``hold_s``, s, if the next one is late: until then no joint
+    leaves its range; 0: for the tick alone. ``velocity_rad_s`` is the last command, rad/s, (n,),
+    not to be changed in place.
     """
 
     def __init__(self, limits: JointLimits, hold_s: float = 0.0) -> None:
@@ -54,26 +45,12 @@ class CommandLimiter:
         fastest_rad_s: float = inf,
         barrier: Barrier | None = None,
     ) -> list[str]:
-        """Command the velocity that is nearest to what is wanted.
+        """Command the velocity nearest to what is wanted, (n,); returns the limits that shaped it.
 
-        Parameters
-        ----------
-        wanted_rad_s, joints_rad : ndarray, shape (n,)
-            What is wanted, rad/s, and the joints now, rad.
-        dt_s : float
-            What the tick counts for, s; none changes no command.
-        pending_rad : ndarray, shape (n,)
-            Motion that was commanded and is still to come, rad. It reduces the room to an end if it
-            goes towards it; it adds none if it goes away.
-        fastest_rad_s : float
-            A speed limit below that of the arm, rad/s.
-        barrier : Barrier, optional
-            What keeps an object in view. Only braking for it takes longer than a tick.
-
-        Returns
-        -------
-        list of str
-            The limits that shaped the command.
+        A tick that counts for nothing changes no command. Pending motion, (n,), was commanded and
+        is still to come: it reduces the room to an end if it goes towards it, and adds none if it
+        goes away. A speed limit may be below that of the arm. A barrier keeps an object in view;
+        only braking for it takes longer than a tick.
         """
         limits, active = self.limits, list[str]()
         fastest_rad_s = min(fastest_rad_s, limits.max_joint_velocity_rad_s)
@@ -176,25 +153,11 @@ class CommandLimiter:
         return np.clip(velocity, least, most)
 
 
-def limit_acceleration(
-    velocity: np.ndarray, last: np.ndarray, max_step: np.ndarray | float
-) -> np.ndarray:
-    """Find the command nearest to ``velocity`` whose step from ``last`` is at most ``max_step``.
+def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: np.ndarray) -> np.ndarray:
+    """Find the command nearest to a velocity, (n,), no joint further than a step from ``last``.
 
     If a shorter command in the same direction is within reach, the longest such one; otherwise
     each joint changes as far as allowed.
-
-    Parameters
-    ----------
-    velocity, last : ndarray, shape (n,)
-        Wanted command and the one before, rad/s.
-    max_step : float, or ndarray, shape (n,)
-        Largest change of any joint, or of each, rad/s.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Never further than ``max_step`` from ``last`` in any joint.
     """
     low, high = last - max_step, last + max_step
     nearest = np.minimum(np.maximum(velocity, low), high)

@@ -104,35 +104,23 @@ class Sample(NamedTuple):
 
 
 class Timeline:
-    """Finds the joints at each image's exposure.
-
-    Attributes
-    ----------
-    joints : History
-        Of the joint positions, rad, (n,).
-    seen_stamp_s : float or None
-        Newest exposure, paired or not, s; None before the first.
-    dropped : int
-        Number of images that could not be paired.
-    last_reason : str
-        Why the last image was dropped; empty if none was.
-    clock_jumps : int
-        How often one of the two clocks jumped.
-    """
+    """Finds the joints at each image's exposure."""
 
     def __init__(self) -> None:
-        self.joints = History()
+        self.joints = History()  #: of the joint positions, rad, (n,)
         self._waiting: deque[tuple[float, np.ndarray]] = deque()
-        self._run = self.dropped = self.clock_jumps = 0
+        self.dropped = 0  #: images that could not be paired
+        self.clock_jumps = 0  #: of one of the two clocks
+        self._run = 0
         self._paired_s: float | None = None  # the newest exposure that was paired
-        self.last_reason = ""
+        self.last_reason = ""  #: why the last image was dropped
         self.reset()
 
     def reset(self) -> None:
         """Forget all joint states and waiting images, and start a new run."""
         self.joints.clear()
         self._waiting.clear()
-        self.seen_stamp_s: float | None = None
+        self.seen_stamp_s: float | None = None  #: newest exposure, paired or not, s
         self._break_run()
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> list[Sample]:

@@ -34,30 +34,13 @@ def plausible(values: np.ndarray) -> bool:
 
 
 def check_arrays(
-    owner: Any, shapes: Mapping[str, tuple[int | str, ...]], lengths: Mapping[str, int]
+    owner: Any, shapes: Mapping[str, tuple[int | str, ...]], **sizes: int
 ) -> dict[str, int]:
     """Make fields of a frozen dataclass read-only arrays of finite floats.
 
-    Parameters
-    ----------
-    owner : object
-        The dataclass.
-    shapes : mapping
-        Field to shape; a letter is a length that is the same in all shapes.
-    lengths : mapping
-        The lengths that are known before.
-
-    Returns
-    -------
-    dict
-        The lengths, by letter.
-
-    Raises
-    ------
-    ValueError
-        If a field is not as declared.
+    A letter in ``shapes`` is a length that is the same in all, such as those of ``sizes``; returns
+    the lengths by letter. A ``ValueError`` says which field is not as declared.
     """
-    sizes = dict(lengths)
     for name, shape in shapes.items():
         try:
             value = np.array(getattr(owner, name), dtype=float)
