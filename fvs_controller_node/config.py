@@ -40,8 +40,7 @@ class ControllerConfig(CommandInterface):
     )
     references_path: str = live_parameter("references.yaml", "File of the taught references.")
     target_feed_forward: bool = live_parameter(
-        True,
-        "Feed-forward for targets that are updated often; off, every target is fixed.",
+        True, "Feed-forward for targets that are updated often; off, every target is fixed."
     )
     rest_when_settled: bool = live_parameter(
         False,
@@ -182,11 +181,5 @@ def default_values(**overrides: Any) -> dict[str, Any]:
 
 
 def make_law(values: Mapping[str, Any]) -> ControlLaw:
-    """Build the law that ``values`` name, with the gains in them (by parameter name).
-
-    Raises
-    ------
-    ValueError
-        If a gain is out of range, or values do not fit together.
-    """
+    """Build the law that ``values`` name; a ``ValueError`` says what does not fit together."""
     return LAWS[values["law"]].from_values(values)

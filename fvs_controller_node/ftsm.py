@@ -88,12 +88,6 @@ def _root(
     return copysign(z, right)
 
 
-def _toward(error_m: np.ndarray) -> tuple[float, np.ndarray]:
-    """The error's length, m, and direction, shape (d,), which is zero where there is no error."""
-    distance_m = length(error_m)
-    return distance_m, error_m / max(distance_m, _TINY_M)
-
-
 @dataclass(frozen=True)
 class FtsmGains(Parameters):
     """Gains and form of the law."""
@@ -130,7 +124,8 @@ class FtsmLaw(ControlLaw):
         velocity_m_s = state.jacobian.dot(state.applied_rad_s)
         solve = self._implicit if gains.discretisation == IMPLICIT else self._literal
         if gains.ftsm_path == STRAIGHT:
-            distance_m, axis = _toward(state.error_m)
+            distance_m = length(state.error_m)
+            axis = state.error_m / max(distance_m, _TINY_M)
             (along,), (s,) = solve([distance_m], [float(axis @ velocity_m_s)], state.dt_s)
             wanted, sliding = along * axis, s * axis
             exponent = np.full(axis.size, gains.surface.exponent(distance_m))
@@ -138,11 +133,9 @@ class FtsmLaw(ControlLaw):
             errors = state.error_m.tolist()
             wanted, sliding = map(np.array, solve(errors, velocity_m_s.tolist(), state.dt_s))
             exponent = np.array([gains.surface.exponent(y) for y in errors])
-        return ControlOutput(
-            self.inverse.joint_velocity(state.jacobian, wanted, state.joints_rad, state.home_rad),
-            sliding,
-            exponent,
-        )
+        joints_rad, home_rad = state.joints_rad, state.home_rad
+        velocity = self.inverse.joint_velocity(state.jacobian, wanted, joints_rad, home_rad)
+        return ControlOutput(velocity, sliding, exponent)
 
     def _implicit(
         self, errors: list[float], velocities: list[float], dt_s: float

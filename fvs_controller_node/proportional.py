@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import log
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import hyp1f1
@@ -50,17 +51,6 @@ class ProportionalLaw(ControlLaw):
         return ControlOutput(joint_velocity, state.error_m.copy(), np.ones(state.error_m.size))
 
 
-class _IncrementLaw(ControlLaw):
-    """A proportional law with a gain and a damped inverse of its own."""
-
-    def command(self, state: ControlInput) -> ControlOutput:
-        """Return the joint velocities for this tick, before any limit."""
-        error_m = state.error_m
-        gain_1_s, damping = self.gains.gain_and_damping
-        velocity = damped_solution(state.jacobian, -gain_1_s * error_m, damping)
-        return ControlOutput.plain(velocity, error_m.size)
-
-
 @dataclass(frozen=True)
 class IncrementGains(Parameters):
     """The gain that both increment laws have."""
@@ -88,10 +78,17 @@ class MfacGains(IncrementGains):
         return 1.0 / self.control_interval_s, self.mfac_lambda
 
 
-class MfacLaw(_IncrementLaw):
-    """The law (48), with the gains lambda and T."""
+class MfacLaw(ControlLaw):
+    """The law (48), with the gains lambda and T: proportional, with a damped inverse of its own."""
 
-    Gains = MfacGains
+    Gains: ClassVar[type[Parameters]] = MfacGains
+
+    def command(self, state: ControlInput) -> ControlOutput:
+        """Return the joint velocities for this tick, before any limit."""
+        error_m = state.error_m
+        gain_1_s, damping = self.gains.gain_and_damping
+        velocity = damped_solution(state.jacobian, -gain_1_s * error_m, damping)
+        return ControlOutput.plain(velocity, error_m.size)
 
 
 @dataclass(frozen=True)
@@ -122,7 +119,7 @@ class MpcGains(IncrementGains):
         return (b - c) / (a * self.control_interval_s), self.mpc_q / a
 
 
-class MpcLaw(_IncrementLaw):
+class MpcLaw(MfacLaw):
     """The law (49) as corrected, with Q = q E, and the gains H, alpha, rho, q and T."""
 
     Gains = MpcGains
@@ -131,22 +128,9 @@ class MpcLaw(_IncrementLaw):
 def mpc_coefficients(horizon: float, alpha: float, rho: float) -> tuple[float, float, float]:
     """Integrals a, b and c of (49); rho is -ln(beta).
 
-    The elementary forms divide differences that vanish by powers of ln(alpha): at alpha = 1 they
-    are 0/0, and short of it by 1e-7 not even the sign of a is right.
-
-    Examples
-    --------
-    >>> a, b, _ = mpc_coefficients(3.0, 1.0, 1.0)
-    >>> round(a, 12), round(b, 12)  # H^3/3, H^2/2
-    (9.0, 4.5)
+    They are Kummer's functions. The elementary forms divide differences that vanish by powers of
+    ln(alpha): at alpha = 1 they are 0/0, and short of it by 1e-7 not even the sign of a is right.
     """
-    rate = -log(alpha)
-    moments = (2, rate), (1, rate), (1, rate + rho)
-    a, b, c = (_moment(power, decay, horizon) for power, decay in moments)
+    power, rate = np.array([3, 2, 2]), -log(alpha) + np.array([0.0, 0.0, rho])
+    a, b, c = (hyp1f1(power, power + 1, -rate * horizon) * horizon**power / power).tolist()
     return a, b, c
-
-
-def _moment(power: int, rate: float, horizon: float) -> float:
-    """Integral of exp(-rate t) t^power from 0 to the horizon, by Kummer's function."""
-    series = hyp1f1(power + 1, power + 2, -rate * horizon)
-    return float(series) * horizon ** (power + 1) / (power + 1)

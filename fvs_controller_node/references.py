@@ -23,13 +23,8 @@ _HEAD = """\
 # orientation. speed is the share of max_joint_velocity_rad_s on the way there. Teaching writes the
 # file anew, without comments.
 """
-_FEATURE, _MOUNT, _FRAME, _SPEED, _DEVIATION = (
-    "feature",
-    "mount",
-    "frame",
-    "speed",
-    "deviation_m",
-)
+_FEATURE, _MOUNT = "feature", "mount"
+_FRAME, _SPEED, _DEVIATION = "frame", "speed", "deviation_m"
 #: Bytes of a file, which is read between two commands, and letters of a name.
 _MOST_BYTES, _LONGEST_NAME = 2**16, 80
 
@@ -45,28 +40,17 @@ class Reference:
 
 
 class References:
-    """The references of one file.
+    """The references of one file, whose path may begin with ~.
 
-    Parameters
-    ----------
-    path : str
-        The file, which may begin with ~; it is read at every use, since people edit it.
-    kind : Kind
-        What is servoed.
-    joint_names : sequence of str
-        The arm's.
+    It is read at every use, since people edit it.
     """
 
     def __init__(self, path: str, kind: Kind, joint_names: Sequence[str]) -> None:
         # Unlike Path.expanduser, this leaves the ~ of an unknown user.
         self.path, self._kind = Path(os.path.expanduser(path)), kind
         #: What an entry must be of; that of an older version may lack all but the feature.
-        self._origin = {
-            "version": 1,
-            _FEATURE: kind.name,
-            "joints": list(joint_names),
-            _MOUNT: kind.camera_mount,
-        }
+        joints, mount = list(joint_names), kind.camera_mount
+        self._origin = {"version": 1, _FEATURE: kind.name, "joints": joints, _MOUNT: mount}
 
     def get(self, name: str) -> Reference:
         """A reference; a ``ValueError`` says why there is none that can be used."""

@@ -24,11 +24,6 @@ class SlidingSurface(Parameters):
     terms are positive because g > 0, g' sgn y <= 0 and ln|y| < 0. Beyond 1 m the second term
     is negative but dies like exp(-2 l3 y^2), far below the first while
     ``switch_error_m`` <= 0.3 m (which is required), so that the surface is monotone everywhere.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of range; the text says which and why.
     """
 
     alpha1: float = live_parameter(1.0, "Weight of the error's velocity in s.", 1e-3, 100.0)

@@ -60,30 +60,18 @@ class TargetMotion:
 
     On a curved kind of feature the path is a sum of tangent vectors, so that the motion is one of
     plain vectors.
-
-    Parameters
-    ----------
-    kind : Kind
-        What is measured, m numbers that move in d ways.
-
-    Attributes
-    ----------
-    last : ndarray, shape (m,), or None
-        The newest measurement.
-    path_m : ndarray, shape (d,)
-        Its path up to there.
     """
 
     def __init__(self, kind: Kind) -> None:
         self._kind = kind
         self._noise = NoiseVariance(3, _LEAST_NOISE_M, pooled=False)
-        self.path_m = np.zeros(kind.size)
+        self.path_m = np.zeros(kind.size)  #: up to the newest measurement, (d,)
         self._updates: deque[tuple[float, np.ndarray]] = deque(maxlen=_MOST)
         self.forget()
 
     def forget(self) -> None:
         """Begin a new path; the learned noise stays."""
-        self.last: np.ndarray | None = None
+        self.last: np.ndarray | None = None  #: the newest measurement, (m,)
         self._restart()
 
     def _restart(self) -> None:
@@ -144,10 +132,8 @@ class TargetMotion:
         since_s, deviation_m = times_s - now_s, self._noise.variance_m2**0.5
         # Less the last: identical updates then average to exactly the same position.
         places = (places - self.path_m) / deviation_m
-        fits, count = (
-            list[tuple[np.ndarray, float]](),
-            max(_WINDOW, int(np.sum(since_s >= -_WINDOW_S))),
-        )
+        fits = list[tuple[np.ndarray, float]]()
+        count = max(_WINDOW, int(np.sum(since_s >= -_WINDOW_S)))
         while not fits or count < _LONGER * len(since_s):
             fits.append(_polynomial(since_s[-count:], places[-count:]))
             count = int(_LONGER * count)
