@@ -8,9 +8,11 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from fvs_ros.kinds import KINDS, Kind, KindConfig, MountConfig
+from fvs_ros.kinds import KINDS, MountConfig
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.kind import ON_ARM
 from fvs_ros.kinds.points import Points
+from fvs_ros.kinds.pose import Pose
 from fvs_ros.params import Parameters, parameter
 from fvs_ros.rotations import rotation_from_vector
 
@@ -107,10 +109,11 @@ class TagsConfig(MountConfig):
     """What is seen, its tags, and those of the object that the tool may be seen from."""
 
     feature: str = parameter(
-        KindConfig.feature,
+        MountConfig.feature,
         "ball, pose of a tag, or points, px: the ball's centre, or all corners of the tags",
         choices=tuple(KINDS),
     )
+    ball, pose = Ball(), Pose()
     points: Points = field(default_factory=Points)
     tag: Tag = field(default_factory=Tag)
     object_tag_id: int = parameter(
@@ -132,11 +135,6 @@ class TagsConfig(MountConfig):
         if self.camera_mount == ON_ARM:
             object.__setattr__(self, "tag", self.object_tag or self.tag)
             object.__setattr__(self, "object_tag_id", -1)
-
-    @cached_property
-    def kind(self) -> Kind:
-        """Of what is seen."""
-        return self.mounted(self.points if self.feature == Points.name else KINDS[self.feature]())
 
     @property
     def carries(self) -> str:

@@ -32,8 +32,9 @@ BODIES = tuple(name for name, kind in KINDS.items() if kind.rigid)
 
 @dataclass(frozen=True)
 class MountConfig(Parameters):
-    """What carries the camera."""
+    """What is servoed, and what carries the camera."""
 
+    feature: str = parameter("ball", "kind of feature that is servoed", choices=tuple(KINDS))
     camera_mount: str = parameter(
         FIXED,
         "where the camera is: fixed in the room, it sees what rides on the arm; or on the arm, it "
@@ -41,8 +42,10 @@ class MountConfig(Parameters):
         choices=MOUNTS,
     )
 
-    def mounted(self, kind: Kind) -> Kind:
-        """A kind as this camera sees it; a ``ParameterError`` if it cannot."""
+    @cached_property
+    def kind(self) -> Kind:
+        """The kind of feature as this camera sees it; a ``ParameterError`` if it cannot."""
+        kind: Kind = getattr(self, self.feature)
         if self.camera_mount != FIXED and not kind.rigid:
             raise ParameterError(f"camera_mount: {kind.name} are seen by a camera in the room")
         return replace(kind, camera_mount=self.camera_mount)
@@ -50,14 +53,7 @@ class MountConfig(Parameters):
 
 @dataclass(frozen=True)
 class KindConfig(MountConfig, KindParameters):
-    """What is servoed."""
-
-    feature: str = parameter("ball", "kind of feature that is servoed", choices=tuple(KINDS))
-
-    @cached_property
-    def kind(self) -> Kind:
-        """The kind of feature."""
-        return self.mounted(getattr(self, self.feature))
+    """What is servoed, with the parameters of its kind."""
 
 
 @dataclass(frozen=True)
