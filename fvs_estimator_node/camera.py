@@ -57,19 +57,9 @@ class CameraPose:
     distribution about the present rotation. A bump shows as a position beyond the noise; all pairs
     of the old pose are then dropped.
 
-    Parameters
-    ----------
-    deviation_rad : float
-        How far the camera may have been turned unnoticed, standard deviation, rad.
-    memory : float
-        Positions, some way apart, after which an old one's weight has decayed by 63 %.
-
-    Attributes
-    ----------
-    rotation, translation_m : ndarray, shapes (3, 3) and (3,)
-        R and t, the latter in m; not to be changed in place.
-    bumps : int
-        How often the camera was found to have been moved.
+    ``deviation_rad`` is how far the camera may have been turned unnoticed, rad (standard
+    deviation), ``memory`` the count of positions, some way apart, after which an old one's weight
+    has decayed by 63 %. R and t, ``rotation`` and ``translation_m``, are not changed in place.
     """
 
     def __init__(self, deviation_rad: float = _CHAIN[0], memory: float = _CHAIN[1]) -> None:
@@ -80,7 +70,7 @@ class CameraPose:
     def reset(self) -> None:
         """Assume the camera pose of the training."""
         self.translation_m = np.zeros(3)
-        self.bumps = 0
+        self.bumps = 0  #: how often the camera was found to have been moved
         self._begin(np.eye(3), self._deviation_rad)
 
     def _begin(self, rotation: np.ndarray, deviation_rad: float) -> None:
@@ -117,7 +107,7 @@ class CameraPose:
         # At rest no weight decays, because no new information arrives.
         shift_m = model_m - self._kept_at
         keep = 1.0
-        if float(shift_m.dot(shift_m)) > _STILL_M**2:
+        if length(shift_m) > _STILL_M:
             keep, self._kept_at = self._keep, model_m
         weight = min(keep * self._weight, self._memory)
         self._weight = total = weight + 1.0

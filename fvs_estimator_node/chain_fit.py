@@ -69,33 +69,18 @@ class ChainFitError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """What every fit of a chain tells, and how far it can be trusted.
+    """What every fit of a chain tells, and how far it can be trusted."""
 
-    Parameters
-    ----------
-    weights : ndarray, shape (m,)
-        Lengths, m, of the numbers that it carries: residuals are of the weighted numbers.
-    time_offset_s, time_offset_deviation_s : float
-        How late the images are stamped, s: one stamped t shows the joints at t - offset; and its
-        standard deviation, s.
-    residual_m : float
-        Median distance of images from the chain, m.
-    noise_m : float
-        Its noise part, which changes from one image to the next, m; NaN if the images are too far
-        apart.
-    outliers : int
-        Images further than six standard deviations from the chain.
-    samples : int
-        Images used.
-    """
-
+    #: Lengths, m, (m,), of the numbers that it carries: residuals are of the weighted numbers.
     weights: np.ndarray
+    #: How late the images are stamped, s: one stamped t shows the joints at t - offset.
     time_offset_s: float
     time_offset_deviation_s: float
-    residual_m: float
+    residual_m: float  #: median distance of images from the chain, m
+    #: Its noise part, which changes from one image to the next, m; NaN if they are too far apart.
     noise_m: float
-    outliers: int
-    samples: int
+    outliers: int  #: images further than six standard deviations from the chain
+    samples: int  #: images used
 
     @property
     def misfit(self) -> float:
@@ -122,36 +107,22 @@ class Fit:
 
 @dataclass(frozen=True, kw_only=True)
 class ChainFit(Fit):
-    """A fitted chain of a rigid body.
-
-    Parameters
-    ----------
-    chain : SerialChain
-        The chain.
-    ray_noise_m, lateral_noise_m : float
-        Standard deviation of a position along the line of sight, and across it (each of two), m.
-    lens : ndarray, shape (2,)
-        Error of the lens, ``focal`` and ``radial`` of :meth:`~fvs_ros.kinds.Kind.through_lens`. If
-        it is notable, the chain has it as well, and the figures above are those without it.
-    lens_covariance : ndarray, shape (2, 2)
-        Of the lens, by the noise.
-    play_rad : ndarray, shape (n,)
-        Play as far as it is notable, rad; that of the chain, once a fit behind it changes nothing.
-    covariance : ndarray, shape (4 n + m + 1, 4 n + m + 1)
-        Of the coordinates of :class:`~fvs_estimator_node.chain_chart.Chart` at the chain, by the
-        noise; rad, m and s.
-    unfitted : ndarray, shape (4 n + m + 1 + m n, 4 n + m + 1 + m n)
-        Squared changes by an additional constant Jacobian in the fit, less those by noise: of the
-        coordinates, and of that Jacobian row by row, m/rad.
-    """
+    """A fitted chain of a rigid body."""
 
     chain: SerialChain
-    ray_noise_m: float
-    lateral_noise_m: float
+    ray_noise_m: float  #: standard deviation of a position along the line of sight, m
+    lateral_noise_m: float  #: across it, of each of two coordinates, m
+    #: Error of the lens, (2,), as of :meth:`~fvs_ros.kinds.Kind.through_lens`. If notable, the
+    #: chain has it as well, and the figures above are those without it.
     lens: np.ndarray
-    lens_covariance: np.ndarray
+    lens_covariance: np.ndarray  #: of the lens, by the noise, (2, 2)
+    #: Play, rad, (n,), as far as it is notable; that of the chain, once a fit behind it adds none.
     play_rad: np.ndarray
+    #: Of the c = 4 n + m + 1 coordinates of :class:`~fvs_estimator_node.chain_chart.Chart` at the
+    #: chain, by the noise, (c, c); rad, m and s.
     covariance: np.ndarray
+    #: Squared changes by an additional constant Jacobian in the fit, less those by noise: of the
+    #: coordinates, and of that Jacobian row by row, m/rad; (c + m n, c + m n).
     unfitted: np.ndarray
 
     def figures(self) -> dict[str, float]:
@@ -174,21 +145,11 @@ class ChainFit(Fit):
         return inliers(self.weights * self.chain.position(data.joints_rad) - z, z)
 
     def jacobian_deviation(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Relative standard deviation of the Jacobian at joints where data are.
+        """Relative standard deviation of the Jacobian, (k,), at joints where data are, rad, (k, n).
 
-        It covers the noise and the systematic error that no chain explains (mean over the data): a
-        wrong focal length distorts the ball's path. A wrong scale of the camera is invisible,
-        because it only scales the chain.
-
-        Parameters
-        ----------
-        joints_rad : ndarray, shape (k, n)
-            Joints, rad.
-
-        Returns
-        -------
-        ndarray, shape (k,)
-            Frobenius norm of the deviation over that of the Jacobian.
+        It is a ratio of Frobenius norms. It covers the noise and the systematic error that no chain
+        explains (mean over the data): a wrong focal length distorts the ball's path. A wrong scale
+        of the camera is invisible, because it only scales the chain.
         """
         chain = self.chain.weighted(self.weights)
         chart = Chart(chain)
@@ -206,19 +167,9 @@ class ChainFit(Fit):
 
 
 def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> ChainFit:
-    """Fit a chain to ball positions and joints.
+    """Fit a chain to a minute of motion of all joints, or more; ``progress`` gets words on it.
 
-    Parameters
-    ----------
-    data : DataSet
-        A minute of motion of all joints, or more.
-    progress : callable, optional
-        Called with a text at each stage.
-
-    Raises
-    ------
-    ChainFitError
-        If there is too little data, or nothing fits.
+    A ``ChainFitError`` says that there is too little data, or that nothing fits.
     """
     if not data.kind.rigid:
         raise ChainFitError(f"a {data.kind.what} is no rigid body, so there is no chain to find")
@@ -493,10 +444,7 @@ def with_slide(chain: SerialChain, joint: int) -> SerialChain:
 
 
 def noise_by_direction(residual_m: np.ndarray, feature_m: np.ndarray) -> tuple[float, float]:
-    """Standard deviations along the line of sight and across it, by medians, m.
-
-    Takes residuals, (k, 3), and features, (k, m), of k images, m.
-    """
+    """Deviations along the sight and across, by medians, m; of residuals, (k, 3), at (k, m)."""
     sight = _sight(feature_m)
     along = np.sum(residual_m * sight, axis=1)
     across = np.linalg.norm(residual_m - along[:, None] * sight, axis=1)

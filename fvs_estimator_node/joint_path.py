@@ -58,7 +58,7 @@ class Path:
 def behind_play(data: DataSet, play_rad: np.ndarray) -> DataSet:
     """The same with the joints of motors with play, rad, (n,); of still poses it is not known."""
     backlash, joints_rad = Backlash(), data.joints_rad
-    if not data.still:
+    if not data.still and play_rad.any():
         joints_rad = np.array([backlash.joints(motors, play_rad) for motors in joints_rad])
     return replace(data, joints_rad=joints_rad)
 

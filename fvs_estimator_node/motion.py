@@ -26,13 +26,7 @@ _POSITION_GAIN, _HOME_RAD = 2.0, 0.02
 
 @dataclass(frozen=True)
 class MotionConfig(JointLimits):
-    """Bounds of the motion.
-
-    Raises
-    ------
-    ValueError
-        If values do not fit together.
-    """
+    """Bounds of the motion; a ``ValueError`` if values do not fit together."""
 
     duration_s: float = parameter(120.0, "duration of motion and recording", 2.0, 7200.0)
     joint_range_rad: tuple[float, ...] = parameter(

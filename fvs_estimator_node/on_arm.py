@@ -60,15 +60,9 @@ class _State(NamedTuple):
 class _Cause:
     """D, z0 and its velocity by the images, where some of them may have changed.
 
-    Parameters
-    ----------
-    weights : ndarray, shape (m,)
-        Lengths of the numbers of z.
-    state : _State
-        What was known before.
-    deviation : ndarray, shape (18,)
-        Prior deviations of the twists by which D and z0 have changed, and of the velocity's change;
-        0 where nothing changes.
+    ``weights``, (m,), are lengths of the numbers of z, ``state`` is what was known before.
+    ``deviation``, (18,), are prior deviations of the twists by which D and z0 have changed, and of
+    the velocity's change; 0 where nothing changes.
     """
 
     def __init__(self, weights: np.ndarray, state: _State, deviation: np.ndarray) -> None:

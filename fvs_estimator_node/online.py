@@ -70,12 +70,7 @@ class OnlineConfig(Parameters):
 class OnlineEstimator(Estimator):
     """One Jacobian, learned from steps alone; subclasses add the update.
 
-    Parameters
-    ----------
-    model : RbfModel, optional
-        The trained networks, where the Jacobian starts; without them it starts from zero.
-    config : OnlineConfig, optional
-        Settings.
+    It starts as that of the trained networks; without them, from zero.
     """
 
     config_type = OnlineConfig

@@ -21,25 +21,11 @@ from fvs_ros.vectors import check_arrays
 
 @dataclass(frozen=True)
 class RbfModel:
-    """Centres, widths and weights of n networks of k neurons.
+    """Centres, widths and weights of n networks of k neurons, finite; a ``ValueError`` if not."""
 
-    Parameters
-    ----------
-    centres : ndarray, shape (n, k, n)
-        u_it: neuron t of network i, rad.
-    widths : ndarray, shape (n, k)
-        delta_it, rad, positive.
-    weights : ndarray, shape (n, m, k)
-        W_i, per rad, of the m numbers of the feature; of a twist, for a camera on the arm.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, something is not finite, or a width is not positive.
-    """
-
-    centres: np.ndarray
-    widths: np.ndarray
+    centres: np.ndarray  #: u_it of neuron t of network i, rad, (n, k, n)
+    widths: np.ndarray  #: delta_it, rad, positive, (n, k)
+    #: W_i, per rad, (n, m, k): of the feature's m numbers, or of a twist for a camera on the arm.
     weights: np.ndarray
 
     def __post_init__(self) -> None:
@@ -108,20 +94,7 @@ class RbfConfig(Parameters):
 
 
 class FrozenRbfEstimator(Estimator):
-    """The networks as they were trained; it does not learn.
-
-    Evaluation of one joint vector works in buffers of the object (5-10 times faster than
-    :meth:`RbfModel.jacobian`), so an object serves one thread.
-
-    Parameters
-    ----------
-    model : RbfModel
-        The trained networks.
-    config : optional
-        Settings, of an estimator that has some.
-    kind : Kind, optional
-        Of the numbers that the networks predict; a ball by default.
-    """
+    """The networks as they were trained; it does not learn."""
 
     learns = False
     made_from = NETWORKS
@@ -131,18 +104,13 @@ class FrozenRbfEstimator(Estimator):
         self.config: Any = config if config is not None else self.config_type()
         self.model, self._offline = model, model.weights * self.kind.learned[:, None]
         self._offset, self._slope, self._curvature = _exponent_terms(model.centres, model.widths)
-        self._theta, self._scratch = np.empty((2, self._offset.size))
         self.reset()
 
     def _evaluate(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Features at one joint vector, shape (n, k), in a buffer that the next call reuses."""
-        theta = self._theta
-        np.dot(self._slope, joints_rad, out=theta)
-        theta += self._offset
-        np.multiply(self._curvature, np.dot(joints_rad, joints_rad), out=self._scratch)
-        theta += self._scratch
-        np.exp(theta, out=theta)
-        return theta.reshape(self.model.widths.shape)
+        """Features at one joint vector, (n, k), in a fifth of the time of :func:`rbf_features`."""
+        square = joints_rad.dot(joints_rad)
+        exponent = self._slope.dot(joints_rad) + self._offset + square * self._curvature
+        return np.asarray(np.exp(exponent).reshape(self.model.widths.shape))
 
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
         """Estimate at joints, rad, (n,), and the feature there, (m,): m/rad, shape (d, n)."""
@@ -180,9 +148,7 @@ class RbfEstimator(FrozenRbfEstimator):
             predicted = self.kind.to_tangent(step.z, velocity @ columns)
             regressor = velocity[:, None] * theta
             energy = step.dt_s * float(np.vdot(regressor, regressor))
-            share = 1.0
-            if config.n1 * energy > config.mu:
-                share = config.mu / (config.n1 * energy)
+            share = config.mu / max(config.mu, config.n1 * energy)
             error = step.d_feature_m / step.dt_s - predicted
             drive = share * step.dt_s * (config.n1 * error + config.alpha2 * step.sliding_variable)
             drive = self.kind.from_tangent(step.z, drive)
