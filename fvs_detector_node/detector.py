@@ -42,17 +42,11 @@ class Detector:
     """Looks for a body where the last image showed it, else everywhere.
 
     A kind of body overrides :meth:`detect_in`.
-
-    Attributes
-    ----------
-    needs_depth, needs_calibration : bool
-        Whether it takes depth images, and a calibrated camera.
-    measured : tuple of str
-        Attributes of its detections for the status.
     """
 
+    #: Whether it takes depth images, and a calibrated camera.
     needs_depth, needs_calibration = False, True
-    measured: tuple[str, ...] = ()
+    measured: tuple[str, ...] = ()  #: attributes of its detections for the status
 
     def __init__(self, config: DetectorConfig) -> None:
         # One small image at a time: threads wait for each other by spinning.

@@ -70,41 +70,24 @@ class Slopes(NamedTuple):
 
 @dataclass(frozen=True)
 class SerialChain:
-    """The axes of n joints and what they carry.
+    """The axes of n joints and what they carry, in the camera's frame.
 
-    Parameters
-    ----------
-    axes : ndarray, shape (n, 3)
-        Directions w of the axes at the reference joints, camera frame; normalised here.
-    points_m : ndarray, shape (n, 3)
-        A point q of each axis, camera frame, m.
-    feature_m : ndarray, shape (m,)
-        The feature x0 at the reference joints, camera frame, m: a point, then any directions.
-    reference_rad : ndarray, shape (n,)
-        The reference joints r0, rad, of prismatic ones m.
-    prismatic : ndarray, shape (n,), optional
-        1 for each prismatic joint, 0 for the others; by default all are revolute.
-    on_arm : bool, optional
-        Whether the camera is on the arm, and x stands in the room.
-    lens : ndarray, shape (2,), optional
-        Error of the lens through which all of this was measured: ``focal`` and ``radial`` of
-        :meth:`~fvs_ros.kinds.Kind.through_lens`; 0 where it is as good as declared.
-    play_rad : ndarray, shape (n,), optional
-        Play between each motor, whose angle is reported, and its joint, rad, of prismatic ones m.
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, a number is not finite or too large, or an axis has no direction.
+    A ``ValueError`` says that a shape is wrong, a number not finite or too large, or that an axis
+    has no direction.
     """
 
-    axes: np.ndarray
-    points_m: np.ndarray
+    axes: np.ndarray  #: directions w of the axes at the reference joints, (n, 3); normalised here
+    points_m: np.ndarray  #: a point q of each axis, m, (n, 3)
+    #: The feature x0 at the reference joints, m, (m,): a point, then any directions.
     feature_m: np.ndarray
-    reference_rad: np.ndarray
+    reference_rad: np.ndarray  #: the reference joints r0, rad, of prismatic ones m, (n,)
+    #: 1 for each prismatic joint, 0 for the others, (n,); by default all are revolute.
     prismatic: np.ndarray = None  # type: ignore[assignment]
+    #: Error of the lens through which all of this was measured, (2,), as of
+    #: :meth:`~fvs_ros.kinds.Kind.through_lens`; by default it is as good as declared.
     lens: np.ndarray = None  # type: ignore[assignment]
-    on_arm: bool = False
+    on_arm: bool = False  #: whether the camera is on the arm, and x stands in the room
+    #: Play between each motor, whose angle is reported, and its joint, rad (m), (n,).
     play_rad: np.ndarray = None  # type: ignore[assignment]
     #: The joint of each stage, from the camera on.
     order: np.ndarray = field(init=False, repr=False)
@@ -192,21 +175,10 @@ class SerialChain:
         return carried[..., :3].reshape(*carried.shape[:-2], -1)
 
     def motion(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The feature, and the twist of space by each joint.
+        """The feature, (..., m), and the twist of space by each joint, at joints, rad, (..., n).
 
-        Parameters
-        ----------
-        joints_rad : ndarray, shape (..., n)
-            Joint positions, rad.
-
-        Returns
-        -------
-        feature : ndarray, shape (..., m)
-            As carried.
-        angular : ndarray, shape (..., n, 3)
-            Angular velocities w per joint velocity, camera frame, rad/rad.
-        linear_m : ndarray, shape (..., n, 3)
-            Velocities v of what is at the camera's origin, m/rad: a point p moves by ``v + w x p``.
+        Angular velocities w per joint velocity, rad/rad, (..., n, 3), and velocities v of what is
+        at the camera's origin, m/rad, (..., n, 3): a point p moves by ``v + w x p``.
         """
         stages = self._stages(self._transforms(joints_rad))
         lines = (self._lines @ stages[..., :-1, :, :])[..., :3]
@@ -246,15 +218,10 @@ class SerialChain:
         return self.position_and_jacobian(joints_rad)[1]
 
     def slopes(self, joints_rad: np.ndarray, twists: np.ndarray) -> Slopes:
-        """The feature and its derivatives by all that can change in a chain.
+        """The feature at joints, rad, (k, n), and its derivatives by all that a chain can change.
 
-        Parameters
-        ----------
-        joints_rad : ndarray, shape (k, n)
-            Joint positions, rad.
-        twists : ndarray, shape (n + 1, 6, p)
-            Motions of what is behind the first 0, 1, ..., n joints, as it stands at the reference
-            joints: turns about the camera's origin, rad, and shifts, m.
+        By ``twists``, (n + 1, 6, p), of what is behind the first 0, 1, ..., n joints, as it stands
+        at the reference joints: turns about the camera's origin, rad, and shifts, m.
         """
         images, joints = joints_rad.shape
         axes = np.zeros((joints + 1, 6, joints))
@@ -306,15 +273,7 @@ class SerialChain:
         return self._stages(self._transforms(joints_rad))[-1]
 
     def moved(self, rotation: np.ndarray, translation_m: np.ndarray) -> SerialChain:
-        """The chain as seen after ``x -> R x + t``: another camera pose, all else the same.
-
-        Parameters
-        ----------
-        rotation : ndarray, shape (3, 3)
-            R.
-        translation_m : ndarray, shape (3,)
-            t, m.
-        """
+        """The chain as seen after ``x -> R x + t``: another camera pose, all else the same."""
         carried = self.feature_m.reshape(-1, 3) @ rotation.T
         carried[0] += translation_m
         axes, points_m = self.axes @ rotation.T, self.points_m @ rotation.T + translation_m
