@@ -42,7 +42,7 @@ class Scene:
         if focal_error:
             self.lens.error = np.array([focal_error, 0.0])
             blurred = simulation._blurred
-            simulation._blurred = lambda z, rng: blurred(self.lens.measured(z), rng)
+            simulation._blurred = lambda kind, z, rng: blurred(kind, self.lens.measured(z), rng)
             chain = replace(self.loop.estimator.chain, lens=known * self.lens.error)
             self.loop.estimator = PoeEstimator(chain, None, kind)
             self.loop.estimation = EstimationLoop(self.loop.estimator)
