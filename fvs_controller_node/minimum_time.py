@@ -66,28 +66,22 @@ class MinimumTimeLaw(ControlLaw):
             self._goal = self._goal + state.dt_s * state.feed_forward_rad_s
         if self._goal is None or state.change is not Change.NOTHING or state.chain is None:
             self._goal = self._find_goal(state)
-        left = self._goal - state.joints_rad
-        travel = largest(left / self.gains.share)
+        left, gains = self._goal - state.joints_rad, self.gains
+        travel = largest(left / gains.share)
         velocity = np.zeros(left.size)
         if travel > 0.0:
-            velocity = left * (self._speed_for(travel, state.dt_s) / travel)
+            acceleration = BRAKING_SHARE * gains.max_joint_acceleration_rad_s2
+            braking = braking_speed(travel, acceleration, state.dt_s, gains.max_joint_jerk_rad_s3)
+            near = gains.minimum_time_rate_1_s * travel
+            velocity = left * (min(gains.max_joint_velocity_rad_s, near, braking) / travel)
         return ControlOutput.plain(velocity, state.error_m.size)
-
-    def _speed_for(self, travel_rad: float, dt_s: float) -> float:
-        """Largest speed that can be braked in time, rad/s."""
-        gains = self.gains
-        acceleration = BRAKING_SHARE * gains.max_joint_acceleration_rad_s2
-        braking = braking_speed(travel_rad, acceleration, dt_s, gains.max_joint_jerk_rad_s3)
-        near = gains.minimum_time_rate_1_s * travel_rad
-        return min(gains.max_joint_velocity_rad_s, near, braking)
 
     def _find_goal(self, state: ControlInput) -> np.ndarray:
         """Joints with the ball on the target and the least largest travel, rad, shape (n,)."""
         joints, chain = state.joints_rad, state.chain
         if chain is None:
-            return joints + self.inverse.joint_velocity(
-                state.jacobian, -state.error_m, joints, state.home_rad
-            )
+            wanted, home = -state.error_m, state.home_rad
+            return joints + self.inverse.joint_velocity(state.jacobian, wanted, joints, home)
         kind, here, error_m = state.kind, chain.position(joints), state.error_m
         wanted = kind.retract(here, -error_m)
         first = self._goal is None or state.change is Change.TARGET

@@ -118,12 +118,9 @@ def _outline(patch: Patch) -> tuple[np.ndarray, np.ndarray]:
     nearest = cv2.erode(outside, np.ones((5, 5), np.uint8))
     v_h, u_h = np.nonzero(inside[:, 1:] != inside[:, :-1])
     v_v, u_v = np.nonzero(inside[1:, :] != inside[:-1, :])
-    outside_m = np.concatenate(
-        [
-            np.where(inside[v_h, u_h], nearest[v_h, u_h + 1], nearest[v_h, u_h]),
-            np.where(inside[v_v, u_v], nearest[v_v + 1, u_v], nearest[v_v, u_v]),
-        ]
-    )
+    across = np.where(inside[v_h, u_h], nearest[v_h, u_h + 1], nearest[v_h, u_h])
+    along = np.where(inside[v_v, u_v], nearest[v_v + 1, u_v], nearest[v_v, u_v])
+    outside_m = np.concatenate([across, along])
     u = np.concatenate([u_h + 0.5, u_v])
     v = np.concatenate([v_h, v_v + 0.5])
     return unit(patch.view.rays(u, v)), outside_m

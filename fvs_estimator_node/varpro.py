@@ -9,26 +9,15 @@ torch.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
 import numpy as np
 import torch
+from threadpoolctl import threadpool_limits
 
 #: Start and end joints, rad, shape (p, n) each, and the ball's motion between them, m, (p, m).
 Batch = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 _BETAS = (0.9, 0.99)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let torch use one core: for matrices this small, threads mostly wait for each other."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def refine(
@@ -59,7 +48,7 @@ def refine(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, iterations)
     for _ in range(iterations):
         start, end, motion = (torch.from_numpy(np.ascontiguousarray(a)) for a in draw())
-        with _one_thread():
+        with threadpool_limits(1):  # for matrices this small, threads mostly wait for each other
             adam.zero_grad()
             _relative_squared_error(networks, start, end, motion, *quadrature, ridge).backward()
             adam.step()

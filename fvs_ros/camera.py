@@ -36,17 +36,7 @@ class CameraTopicsConfig(Parameters):
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole camera without distortion.
-
-    Parameters
-    ----------
-    width, height : int
-        Image size, pixels.
-    fx, fy : float
-        Focal lengths, pixels.
-    cx, cy : float
-        Principal point, pixels.
-    """
+    """A pinhole camera without distortion: size, focal lengths and principal point, pixels."""
 
     width: int
     height: int
@@ -102,21 +92,11 @@ _MAX_COEFFICIENT = 1000.0
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A camera as it is: pinhole and distortion.
+    """A camera as it is: pinhole and distortion."""
 
-    Parameters
-    ----------
-    intrinsics : Intrinsics
-        Of the image, and of the image without distortion as well.
-    model : str
-        One of ``DISTORTION_MODELS``.
-    coefficients : tuple of float
-        Of the distortion, in the model's order.
-    """
-
-    intrinsics: Intrinsics
-    model: str = "plumb_bob"
-    coefficients: tuple[float, ...] = ()
+    intrinsics: Intrinsics  #: of the image, and of the image without distortion as well
+    model: str = "plumb_bob"  #: one of ``DISTORTION_MODELS``
+    coefficients: tuple[float, ...] = ()  #: of the distortion, in the model's order
 
     def __post_init__(self) -> None:
         model, count = self.model, len(self.coefficients)

@@ -45,6 +45,8 @@ class Print:
 
 
 PRINT = Print()
+#: Colours, (H, W, 3), depths, m, (H, W), and the camera of an image or a part of one.
+Image = tuple[np.ndarray, np.ndarray, Intrinsics]
 
 
 class Carried:
@@ -76,15 +78,8 @@ class Carried:
         """Whether it can be measured from so near and at such an angle."""
         raise NotImplementedError
 
-    def paint(
-        self,
-        rgb: np.ndarray,
-        depth_m: np.ndarray,
-        view: Intrinsics,
-        poses: list[RigidPose],
-        rng: np.random.Generator,
-    ) -> None:
-        """Paint what the renderer cannot into an image, (H, W, 3), where its depth is the body's.
+    def paint(self, image: Image, poses: list[RigidPose], rng: np.random.Generator) -> None:
+        """Paint what the renderer cannot into an image, where its depth is the body's.
 
         Blurred over ``poses``, those in the camera's frame during the exposure.
         """
@@ -172,24 +167,13 @@ class CarriedTag(Carried):
                 return True
         return False
 
-    def paint(
-        self,
-        rgb: np.ndarray,
-        depth_m: np.ndarray,
-        view: Intrinsics,
-        poses: list[RigidPose],
-        rng: np.random.Generator,
-    ) -> None:
+    def paint(self, image: Image, poses: list[RigidPose], rng: np.random.Generator) -> None:
         """Paint the tags."""
-        middle = poses[len(poses) // 2]
+        (rgb, depth_m, view), middle = image, poses[len(poses) // 2]
         for number in self._tag.facing(middle.rotation, middle.position_m):
             face = self._tag.faces[number]
-            prints = [
-                RigidPose(
-                    pose.position_m + pose.rotation @ face.middle_m, pose.rotation @ face.rotation
-                )
-                for pose in poses
-            ]
+            own = RigidPose(face.middle_m, face.rotation)
+            prints = [pose.pose_from_own(own) for pose in poses]
             print_ = prints[len(prints) // 2]
             corners_m = self._square_m @ print_.rotation.T + print_.position_m
             if corners_m[:, 2].min() <= 0.0:

@@ -269,7 +269,7 @@ class World:
             linear, angular = camera.rotation.T @ arm_m_s, camera.rotation.T @ arm_rad_s
             pose = camera.pose_to_own(self.feature_pose())
             poses = exposed(pose, linear, angular, config.exposure_s)
-            self.body.paint(rgb, depth_m, view, poses, rng)
+            self.body.paint((rgb, depth_m, view), poses, rng)
         if self.object is not None:
             linear = np.array(config.object_velocity_m_s)
             angular = np.array([0.0, 0.0, np.radians(config.object_turn_rate_deg_s)])
@@ -280,7 +280,7 @@ class World:
             pose = camera.pose_to_own(self.object_pose)
             linear, angular = linear @ camera.rotation, angular @ camera.rotation
             poses = exposed(pose, linear, angular, config.exposure_s)
-            self.object.paint(rgb, depth_m, view, poses, rng)
+            self.object.paint((rgb, depth_m, view), poses, rng)
         if renderer.undistorted:
             return cv2.remap(rgb, u, v, cv2.INTER_LINEAR), np.zeros(u.shape, np.float32)
         if step > 1:  # for a detector that takes no depths

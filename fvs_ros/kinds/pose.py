@@ -84,17 +84,13 @@ class Pose(Kind):
 
     def read(self, message: Any) -> np.ndarray:
         """Pose of a ``PoseStamped``, (12,)."""
-        position, orientation = message.pose.position, message.pose.orientation
-        position_m = [position.x, position.y, position.z]
-        quaternion = [orientation.x, orientation.y, orientation.z, orientation.w]
-        return self.parse(np.array(position_m + quaternion))
+        p, q = message.pose.position, message.pose.orientation
+        return self.parse(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]))
 
     def write(self, message: Any, z: np.ndarray) -> None:
         """Fill in a ``PoseStamped``."""
-        position, orientation = message.pose.position, message.pose.orientation
-        quaternion = quaternion_from_rotation(self.rotation(z)).tolist()
-        position.x, position.y, position.z = z[:3].tolist()
-        orientation.x, orientation.y, orientation.z, orientation.w = quaternion
+        p, q = message.pose.position, message.pose.orientation
+        p.x, p.y, p.z, q.x, q.y, q.z, q.w = self.columns_of(z).tolist()
 
     def of_columns(self, numbers: np.ndarray) -> np.ndarray:
         """Pose of a position, m, and a quaternion x, y, z, w."""
@@ -196,11 +192,8 @@ class Pose(Kind):
         distance_m, normal = length(z[:3]), z[9:]
         sight = z[:3] / distance_m
         cosine = -normal.dot(sight)
-        by_motion = (
-            (normal + cosine * sight) / -distance_m,
-            np.cross(sight, normal) / self.lever_arm_m,
-        )
-        return np.array([cosine]), np.concatenate(by_motion)[None]
+        linear, angular = (normal + cosine * sight) / -distance_m, np.cross(sight, normal)
+        return np.array([cosine]), np.append(linear, angular / self.lever_arm_m)[None]
 
     def text(self, z: np.ndarray) -> str:
         """A pose in words."""
@@ -210,10 +203,8 @@ class Pose(Kind):
 
     def error_text(self, error_m: np.ndarray) -> str:
         """An error, m, (6,), in words."""
-        parts = self.status_values(error_m)
-        return (
-            f"{self.length_text(parts['way_m'], 1)} and {degrees(parts['angle_rad']):.2f} degrees"
-        )
+        angle_deg = degrees(length(error_m[3:]) / self.lever_arm_m)
+        return f"{self.length_text(length(error_m[:3]), 1)} and {angle_deg:.2f} degrees"
 
     def parts_m(self, errors_m: np.ndarray) -> dict[str, np.ndarray]:
         """Lengths, m, (...), of the ways and of the arcs of errors, m, (..., 6)."""

@@ -93,16 +93,20 @@ def from_depth(message: Image) -> np.ndarray:
 
 def _check_encoding(encoding: str, known: Iterable[str]) -> None:
     if encoding not in known:
-        raise MessageError(
-            f"image encoding {encoding[:40]!r} is not known; expected one of "
-            f"{', '.join(known)[:120]}"
-        )
+        names = ", ".join(known)[:120]
+        raise MessageError(f"image encoding {encoding[:40]!r} is not known; expected {names}")
 
 
 def _rows(message: Image, kind: str, channels: int, height: int) -> np.ndarray:
     """Rows of numbers of a kind without their padding, shape (height, width * channels)."""
     width, step, number = message.width, message.step, np.dtype(kind)
-    _check_size(width, height)
+    if width < 1 or height < 1:
+        raise MessageError(f"image has no pixels: {width}x{height}")
+    if max(width, height) > _MOST_SIDE_PX or width * height > _MOST_PIXELS:
+        raise MessageError(
+            f"image of {width}x{height} pixels is too large; the limit is {_MOST_PIXELS // 10**6} "
+            f"million pixels and {_MOST_SIDE_PX} a side"
+        )
     row_bytes = width * channels * number.itemsize
     raw = np.frombuffer(message.data, np.uint8)
     if step < row_bytes:
@@ -118,13 +122,3 @@ def _rows(message: Image, kind: str, channels: int, height: int) -> np.ndarray:
     rows = np.lib.stride_tricks.as_strided(raw, (height, row_bytes), (step, 1), writeable=False)
     numbers = np.ascontiguousarray(rows).view((">" if message.is_bigendian else "<") + kind)
     return numbers.astype(number, copy=False)
-
-
-def _check_size(width: int, height: int) -> None:
-    if width < 1 or height < 1:
-        raise MessageError(f"image has no pixels: {width}x{height}")
-    if max(width, height) > _MOST_SIDE_PX or width * height > _MOST_PIXELS:
-        raise MessageError(
-            f"image of {width}x{height} pixels is too large; the limit is {_MOST_PIXELS // 10**6} "
-            f"million pixels and {_MOST_SIDE_PX} a side"
-        )
