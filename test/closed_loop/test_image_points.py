@@ -143,3 +143,28 @@ def test_a_webcam_with_a_bad_or_a_frozen_picture_stops_the_arm(camera):
     frozen = loop.webcams[camera].position(loop.joints)
     reasons = loop.run(200, measured=lambda i, z: frozen if i == camera else z)
     assert reasons & {Reason.IMAGE_NOT_FOLLOWING, Reason.PREDICTION_ERROR}
+
+
+PICTURES = {
+    "upside down": lambda z: [640.0, 480.0] - z,
+    "mirrored": lambda z: [640.0, 0.0] + [-1.0, 1.0] * z,
+    "points in another order": lambda z: z[::-1],
+}
+
+
+@each("picture", PICTURES)
+def test_a_picture_that_is_not_as_in_training_stops_the_arm(picture):
+    for joints, points in (7, 4), (6, 1):
+        if points == 1 and "order" in picture:
+            continue
+        loop = Loop(joints, points, [""])
+
+        def measured(_, z):
+            return PICTURES[picture](z.reshape(-1, 2)).ravel()
+
+        loop.run(50, measured=measured)
+        loop.give(loop.rng.uniform(-0.25, 0.25, joints))
+        loop.run(900, measured=measured)
+        last = loop.servo.supervisor.last
+        assert last.reason.needs_start or last.reason is Reason.NEAR_SINGULAR, last.text
+        assert np.abs(loop.joints).max() < 1.0
