@@ -227,6 +227,8 @@ _NEVER_ASTRAY = mock.patch.object(
 _UNCHANGED = mock.patch.object(InView, "limited", lambda _, velocity, *rest: velocity)
 _FIRST = mock.patch("fvs_estimator_node.on_arm.min", lambda causes, **_: causes[0], create=True)
 
+_LOST = mock.patch("fvs_controller_node.inbox.Inbox.lost", return_value=[0, 1])
+
 TESTED = (
     Tested("a message or request", None, "faults/test_fuzz_messages.py"),
     Tested("any catchable signal", None, "faults/test_hostile_terminal.py"),
@@ -239,6 +241,11 @@ TESTED = (
         "a target in another frame",
         takes_any_mount(),
         "unit/test_references.py::test_a_damaged_file_is_refused_with_what_is_wrong",
+    ),
+    Tested(
+        "joint states older",
+        _LOST,
+        "closed_loop/test_image_points.py::test_the_arm_rests_while_no_webcam_sees",
     ),
     Tested(
         "the view's edge",

@@ -118,7 +118,7 @@ def test_a_webcam_that_is_lost_leaves_the_task_with_the_other(law):
     np.testing.assert_allclose(loop.model.position(loop.joints), target, atol=1.0)
 
 
-def test_the_arm_rests_while_no_webcam_sees_and_without_all_at_first():
+def test_the_arm_rests_while_no_webcam_sees():
     loop = Loop(6, 1, ["left", "right"])
     assert loop.run(100, covered=[1]) == {Reason.MISSING}
     loop.run(50)
