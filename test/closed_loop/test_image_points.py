@@ -5,21 +5,18 @@ from collections import deque
 import numpy as np
 import pytest
 from cases import each
+from webcams import before_webcams
 
 from fvs_controller_node.config import default_values
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.chain import SerialChain
 from fvs_ros.kinds.points import Points
-from fvs_ros.pixel_chain import PixelChain, PixelChains, Webcam
-from fvs_ros.rotations import rotation_from_vector
+from fvs_ros.pixel_chain import PixelChains
 
 DT_S, NOISE_PX, ERROR = 0.008, 0.3, 0.03
-WAYS_M = 0.1 * np.array([[1.0, 0.0, 0.5], [0.0, 1.0, -0.5], [-1.0, 0.6, 0.3]])
 #: Of each camera: ticks from image to image, and how many an image is late.
 EVERY, LATE = (4, 6), (5, 9)
-ASIDE = rotation_from_vector(np.array([0.0, 1.2, 0.0]))
 
 
 class Loop:
@@ -27,13 +24,7 @@ class Loop:
 
     def __init__(self, joints, points, cameras, **values):
         self.rng = np.random.default_rng(2)
-        first = np.array([0.1, -0.1, 1.5])
-        axes, near = self.rng.normal(size=(2, joints, 3))
-        carried = np.append(first, WAYS_M[: points - 1])
-        arm = SerialChain(axes, first + 0.3 * near, carried, np.zeros(joints))
-        aside = arm.moved(ASIDE, np.array([0.0, 0.0, 1.5]) - ASIDE @ [0.0, 0.0, 1.5])
-        lenses = Webcam(600.0, (320.0, 240.0), -0.2), Webcam(500.0, (300.0, 250.0), -0.1)
-        self.webcams = tuple(map(PixelChain, (arm, aside), lenses))[: len(cameras)]
+        self.webcams = before_webcams(self.rng, joints, points, len(cameras))
         self.model, self.kind = PixelChains(self.webcams), Points(points, cameras=tuple(cameras))
         names = [f"joint_{i + 1}" for i in range(joints)]
         self.values = default_values(
