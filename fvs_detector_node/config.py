@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from fvs_detector_node.tags import TagsConfig
 from fvs_ros.camera import CameraTopicsConfig
-from fvs_ros.params import Parameters, live_parameter
+from fvs_ros.params import ParameterError, Parameters, live_parameter
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,21 @@ class DetectorConfig(TagsConfig, CameraTopicsConfig):
         -0.5,
         0.5,
     )
+    track_px: tuple[float, ...] = live_parameter(
+        (),
+        "u and v, px, of each image point, for any thing: what is there in the next image is "
+        "followed, and set again it begins anew; empty: ball or tags are looked for; for points",
+    )
     colour: BallColour = field(default_factory=BallColour)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        numbers = len(self.track_px)
+        if numbers and (self.kind.rigid or numbers != self.kind.numbers):
+            raise ParameterError(
+                f"track_px: u and v of {self.points.point_count} points (point_count) are expected "
+                f"with feature points, got {numbers} numbers"
+            )
 
 
 PARAMETERS = DetectorConfig.declared()

@@ -8,16 +8,23 @@ from fvs_detector_node.ball_detector import BallDetector
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detector import Detector
 from fvs_detector_node.image_points import CentreDetector, CornerDetector
+from fvs_detector_node.patches import PatchDetector
 from fvs_detector_node.tag_pose import TagDetector
 
 DETECTORS: dict[str, type[Detector]] = {"ball": BallDetector, "pose": TagDetector}
 #: Those of image points, by what carries them.
-POINT_DETECTORS: dict[str, type[Detector]] = {"ball": CentreDetector, "pose": CornerDetector}
+POINT_DETECTORS: dict[str, type[Detector]] = {
+    "ball": CentreDetector,
+    "pose": CornerDetector,
+    "": PatchDetector,
+}
 
 
 def make_detector(config: DetectorConfig) -> Detector:
     """The detector of the configured kind of feature."""
-    return (DETECTORS if config.kind.rigid else POINT_DETECTORS)[config.carries](config)
+    if config.kind.rigid:
+        return DETECTORS[config.feature](config)
+    return PatchDetector(config) if config.track_px else POINT_DETECTORS[config.carries](config)
 
 
 def make_object_detector(config: DetectorConfig) -> Detector | None:

@@ -208,8 +208,13 @@ class DetectorNode(ros.FvsNode):
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take changed parameters into use at once."""
-        self._config = DetectorConfig.from_values(values)
-        self._detector.configure(self._config)
+        config = DetectorConfig.from_values(values)
+        if "track_px" in changed:  # also the same once more
+            detector = make_detector(config)
+            self._outputs = {detector: self._outputs.pop(self._detector), **self._outputs}
+            self._detector = detector
+        self._config = config
+        self._detector.configure(config)
 
     def _complain(self, topic: str, problem: str) -> None:
         self._problem = f"{self.resolve_topic_name(topic)}: {problem}"

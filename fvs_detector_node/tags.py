@@ -138,13 +138,11 @@ class TagsConfig(MountConfig):
 
     @property
     def carries(self) -> str:
-        """The kind of body that is seen, by the feature that it usually has."""
+        """The kind of body that is seen, by the feature that it usually has; empty: any other."""
         if self.kind.rigid:
             return self.feature
-        points, corners = self.points.point_count, 4 * len(self.tag.faces)
-        if points not in (1, corners):
-            raise ValueError(f"point_count: 1 is a ball's, {corners} are the tags', not {points}")
-        return "ball" if points == 1 else "pose"
+        corners = 4 * len(self.tag.faces)
+        return {1: "ball", corners: "pose"}.get(self.points.point_count, "")
 
     @property
     def object_tag(self) -> Tag | None:

@@ -82,6 +82,8 @@ class World:
             self.camera_link = link if self._on_arm else root_link
             self._find_joints(joints, link)
             self._prepare_links()
+            if not config.carries:
+                raise ValueError("point_count: the arm carries a ball, of 1, or tags, of 4 each")
             self.body = CARRIED[config.carries](config)
             self._offset_m += self.body.depth_m
             self.object: Carried | None = self.body if self._on_arm else None

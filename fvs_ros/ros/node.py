@@ -50,6 +50,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
         description=parameter.description,
         additional_constraints=parameter.expected(),
         read_only=not parameter.live,
+        dynamic_typing=parameter.live and parameter.default == [],  # of which rclpy sees no type
     )
     if (parameter.minimum, parameter.maximum) == (None, None):
         return descriptor

@@ -226,6 +226,39 @@ def test_a_detector_of_each_simulated_webcam_publishes_its_points(ros_test):
         np.testing.assert_allclose(z, truth, atol=0.8)
 
 
+def test_what_is_clicked_on_is_followed_by_the_detector_until_it_is_taken_back(ros_test):
+    rng = np.random.default_rng(7)
+    spots = np.kron(rng.integers(0, 256, (60, 80, 1)), np.ones((4, 4, 3))).astype(np.uint8)
+    shift = [0]
+    ros_test.start_node("fvs_detector_node.node", feature="points")
+    status = Statuses(ros_test, topics.DETECTOR)
+    images = ros_test.publisher(Image, topics.COLOR_IMAGE.name)
+    messages = ros_test.collect(PolygonStamped, "image_points")
+
+    def show():
+        rgb = np.roll(spots, shift[0], axis=1)
+        images.publish(ros.to_image(time.time(), "anything", rgb, "rgb8"))
+
+    ros_test.node.create_timer(0.05, show)
+    status.wait_for("LOST", "nothing in view has the ball's colour")
+    for wrong in ([1.0], [1.0, 2.0, 3.0, 4.0]):
+        refusal = ros_test.set_parameters(topics.DETECTOR, track_px=wrong)[0]
+        assert "u and v of 1 points" in refusal.reason
+    for px in ([161.0, 121.0], [161.0, 121.0], [40.0, 80.0]):  # anew each time
+        shift[0] = 0
+        assert ros_test.set_parameters(topics.DETECTOR, track_px=px)[0].successful
+        status.wait_for("TRACKING", "image_points is published")
+        for shift[0] in (10, 30):
+            expected = np.array(px) + [shift[0], 0.0]
+
+            def there(expected=expected):
+                return messages and np.allclose(Points().read(messages[-1]), expected, atol=0.3)
+
+            ros_test.spin_until(there, what="the point")
+    assert ros_test.set_parameters(topics.DETECTOR, track_px=[])[0].successful
+    status.wait_for("LOST", "nothing in view has the ball's colour")
+
+
 def test_the_demo_brings_the_ball_before_a_webcam_to_a_target(ros_test):
     few = "targets:=1", "target_s:=3.0", "image_rate_hz:=15.0", "output_dir:=out"
     webcam = "feature:=points", "simulated_time:=true", "use_sim_time:=true"

@@ -75,8 +75,10 @@ def test_a_ball_that_is_half_hidden_keeps_its_centre_and_a_square_has_none():
 
 
 def test_a_count_that_nothing_has_is_refused():
-    with pytest.raises(ValueError, match="1 is a ball's, 4 are the tags', not 3"):
-        make_detector(DetectorConfig(feature="points", points=Points(3)))
+    with pytest.raises(ValueError, match="a ball, of 1, or tags, of 4 each"):
+        Simulation(SimConfig(feature="points", points=Points(3))).close()
+    with pytest.raises(ValueError, match=r"u and v of 3 points .* got 4 numbers"):
+        DetectorConfig(feature="points", points=Points(3), track_px=(1.0, 2.0, 3.0, 4.0))
     with pytest.raises(ValueError, match="not seen from an object"):
         Simulation(SimConfig(feature="points", object_tag_id=9)).close()
     with pytest.raises(ValueError, match="camera in the room"):
