@@ -472,7 +472,7 @@ class Simulation:
             if isinstance(lens, Lens) and not kind.rigid:
                 own = PixelChain(own, lens.webcam)
             chains.append(own)
-        return chains[0] if kind.rigid or len(chains) == 1 else PixelChains(tuple(chains))
+        return chains[0] if kind.rigid else PixelChains(tuple(chains))
 
 
 def _feature(view: View, body: Carried, pose: RigidPose) -> np.ndarray:

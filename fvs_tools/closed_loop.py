@@ -31,15 +31,18 @@ from fvs_tools.schemes import scheme as scheme_called
 
 
 @lru_cache(maxsize=4)
-def _load(name: str, joint_names: tuple[str, ...], feature: str, mount: str) -> TrainedModel:
-    expected = KindConfig(feature=feature, camera_mount=mount)
-    return load_model(find_file(name), joint_names, expected)
+def _load(name: str, joint_names: tuple[str, ...], kind: Kind) -> TrainedModel:
+    own: dict[str, Any] = {"feature": kind.name, kind.name: kind}
+    return load_model(
+        find_file(name), joint_names, KindConfig(camera_mount=kind.camera_mount, **own)
+    )
 
 
 def _seen(simulation: Simulation) -> dict[str, Any]:
     """Parameters of what is servoed."""
-    config = simulation.config
-    return {"feature": config.feature, "camera_mount": config.camera_mount}
+    config, points = simulation.config, simulation.config.points
+    own = {each.name: getattr(points, each.name) for each in points.declared()}
+    return {"feature": config.feature, "camera_mount": config.camera_mount, **own}
 
 
 def make_estimator(
@@ -60,7 +63,7 @@ def make_estimator(
     if method == "oracle":
         return _Oracle(simulation, kind)
     names = simulation.world.joint_names
-    load = partial(_load, model or kind.model, names, kind.name, kind.camera_mount)
+    load = partial(_load, model or kind.model, names, kind)
     return create_estimator(method, values, load, kind)
 
 
@@ -126,7 +129,7 @@ class ClosedLoop:
 
     @property
     def true_feature(self) -> np.ndarray:
-        """The feature as it truly is, camera frame, (m,)."""
+        """The feature as it truly is, camera frame, (m,); of several cameras, one by one."""
         return self.simulation.true_feature()
 
     def tick(self) -> Command:
@@ -135,8 +138,8 @@ class ClosedLoop:
         now_s = out.time_s
         for image in out.observations:
             if image.z is not None:
-                self.estimation.add_image(image.stamp_s, image.z)
-                self.loop.add_image(now_s, image.stamp_s, image.z)
+                self.estimation.add_image(image.stamp_s, image.z, image.number)
+                self.loop.add_image(now_s, image.stamp_s, image.z, image.number)
             if image.object_z is not None:
                 self.loop.add_object(now_s, image.stamp_s, image.object_z)
         self.estimation.add_joints(now_s, out.joints_rad)

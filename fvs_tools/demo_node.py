@@ -42,10 +42,14 @@ class DemoNode(ros.FvsNode):
         self._began_s: float | np.ndarray = np.inf  # both clocks at the controller's first status
         print("waiting for the controller", flush=True)
         self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
-        self._target = self.publisher(kind.topics.target)
+        self._targets = [self.publisher(part.topics.target) for part in kind.parts]
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
-        truth, object_truth = kind.truth, kind.topics.object_truth
-        self.watch(ros.message_class(truth.type), truth.name, self._on_truth, ros.QOS_EVERY)
+        object_truth = kind.topics.object_truth
+        #: Each camera's newest truth, and its stamp.
+        self._truths = [(np.nan, np.zeros(0)) for _ in kind.parts]
+        for camera, truth in enumerate(part.truth for part in kind.parts):
+            on_truth = partial(self._on_truth, camera)
+            self.watch(ros.message_class(truth.type), truth.name, on_truth, ros.QOS_EVERY)
         self._chooses = True  # the next target, once the last one's time is over
         self._taught: np.ndarray | None = None  # truly, in the object's frame
         if config.relative:
@@ -85,8 +89,12 @@ class DemoNode(ros.FvsNode):
             moment_s = ros.from_stamp(message.header.stamp) - record.start_s
             record.joints.append((moment_s, velocity))
 
-    def _on_truth(self, message: Any) -> None:
-        stamp_s, z = self._read(message, self._kind.truth)
+    def _on_truth(self, camera: int, message: Any) -> None:
+        self._truths[camera] = self._read(message, self._kind.parts[camera].truth)
+        stamps_s, parts = zip(*self._truths, strict=True)
+        stamp_s, z = stamps_s[camera], np.concatenate(parts)
+        if any(other_s != stamp_s for other_s in stamps_s):
+            return
         if self._config.relative and not self._kind.on_arm:
             self._tool = stamp_s, z
         else:
@@ -98,7 +106,8 @@ class DemoNode(ros.FvsNode):
             self._take(stamp_s, self._kind.relative(self._tool[1], object_z))
 
     def _read(self, message: Any, topic: topics.Topic) -> tuple[float, np.ndarray]:
-        z = ros.from_feature(message, self._kind, self._config.feature_frame, topic.name)
+        kind, frame = self._kind.parts[0], self._config.feature_frame
+        z = ros.from_feature(message, kind, frame, topic.name)
         return ros.from_stamp(message.header.stamp), z
 
     def _take(self, stamp_s: float, z: np.ndarray) -> None:
@@ -132,7 +141,9 @@ class DemoNode(ros.FvsNode):
     def _absolute_target(self, stamp_s: float, z: np.ndarray) -> np.ndarray:
         target = self._trained.target(z, self._config.distance_m, self._rng)
         frame = self._config.feature_frame
-        self._target.publish(ros.to_feature(stamp_s, frame, self._kind, target))
+        parts = np.split(target, len(self._targets))
+        for publisher, part in zip(self._targets, parts, strict=True):
+            publisher.publish(ros.to_feature(stamp_s, frame, self._kind, part))
         return target
 
     def _relative_target(self, z: np.ndarray) -> np.ndarray | None:
