@@ -118,7 +118,8 @@ def _ahead(simulation: Simulation, away_m: float, aslant_rad: np.ndarray) -> Rig
 def _view(simulation: Simulation, joints_rad: Joints, bump: Bump | None) -> np.ndarray | None:
     """Where the object is in the picture from there; None if it is not seen, also after a blow."""
     simulation.reset(joints_rad)
-    mounted, first = simulation.mounted, simulation.look()
+    view = simulation.views[0]
+    mounted, first = view.mounted, simulation.look()
     for blow in (None, bump):
         if blow is not None:
             blow.strike(simulation)
@@ -126,7 +127,7 @@ def _view(simulation: Simulation, joints_rad: Joints, bump: Bump | None) -> np.n
         seen = simulation.look().z is not None and not VIEW.out_of_view(simulation.kind, z)
         if not seen:
             break
-    simulation.mounted = mounted
+    view.mounted = mounted
     return first.true_position_m if seen else None
 
 

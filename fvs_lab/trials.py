@@ -130,8 +130,9 @@ class Bump:
 
     def strike(self, simulation: Simulation) -> None:
         """Move the camera."""
-        rotated = simulation.mounted.rotated(np.radians(self.rotation_deg))
-        simulation.mounted = rotated.moved(np.array(self.translation_m))
+        view = simulation.views[0]
+        rotated = view.mounted.rotated(np.radians(self.rotation_deg))
+        view.mounted = rotated.moved(np.array(self.translation_m))
 
 
 # ---- what is run ----------------------------------------------------------------------------

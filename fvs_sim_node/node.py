@@ -294,7 +294,8 @@ class SimNode(ros.FvsNode):
         if changed & {"object_position_m", "object_rotation_deg"}:
             self._sim.place_object()
         if "camera_rotation_deg" in changed:
-            frame, camera = config.tf_prefix + self._sim.world.camera_link, self._sim.mounted
+            frame = config.tf_prefix + self._sim.world.camera_link
+            camera = self._sim.views[0].mounted
             z = Pose().of_body(camera.position_m, camera.rotation)
             pose = ros.to_feature(self.ros_s(), frame, Pose(), z)
             self._camera_pose.publish(pose)

@@ -135,16 +135,7 @@ class Simulation:
         """
         self.config = self._actuator.config = config
         home = self.world.camera_home(config)
-        self.mounted = home.rotated(np.radians(config.camera_rotation_deg))
-
-    @property
-    def mounted(self) -> RigidPose:
-        """The first camera's pose where it is mounted; it may be set."""
-        return self.views[0].mounted
-
-    @mounted.setter
-    def mounted(self, pose: RigidPose) -> None:
-        self.views[0].mounted = pose
+        self.views[0].mounted = home.rotated(np.radians(config.camera_rotation_deg))
 
     @property
     def camera(self) -> RigidPose:
@@ -153,7 +144,8 @@ class Simulation:
 
     @camera.setter
     def camera(self, pose: RigidPose) -> None:
-        self.mounted = self.world.link().pose_to_own(pose) if self.kind.on_arm else pose
+        own = self.world.link().pose_to_own(pose) if self.kind.on_arm else pose
+        self.views[0].mounted = own
 
     def _pose(self, view: View) -> RigidPose:
         """Where a camera is now, world frame."""

@@ -363,9 +363,9 @@ def test_a_bumped_bracket_stays_bumped_while_the_arm_moves(make):
     x, y, z = simulation.true_feature()
     simulation.camera = simulation.camera.moved(simulation.camera.rotation @ [0.0, 0.02, 0.0])
     np.testing.assert_allclose(simulation.true_feature(), [x, y - 0.02, z], atol=1e-12)
-    mounted = simulation.mounted
+    mounted = simulation.views[0].mounted
     run(simulation, 25, [0.3, -0.2, 0.1, 0.4, 0.0, 0.2])
-    assert simulation.mounted is mounted
+    assert simulation.views[0].mounted is mounted
 
 
 def test_the_objects_tags_are_what_a_camera_on_the_arm_sees(make):
