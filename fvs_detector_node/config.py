@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from fvs_detector_node.tags import TagsConfig
 from fvs_ros.camera import CameraTopicsConfig
@@ -57,8 +57,19 @@ class DetectorConfig(TagsConfig, CameraTopicsConfig):
         if numbers and (self.kind.rigid or numbers != self.kind.numbers):
             raise ParameterError(
                 f"track_px: u and v of {self.points.point_count} points (point_count) are expected "
-                f"with feature points, got {numbers} numbers"
+                f"with feature points of each camera, got {numbers} numbers"
             )
+
+    @property
+    def parts(self) -> dict[str, DetectorConfig]:
+        """For each camera alone, by its name."""
+        if self.kind.rigid:
+            return {self.kind.cameras[0]: self}
+        parts = zip(self.points.parts, self.kind.rows, strict=True)
+        return {
+            part.cameras[0]: replace(self, points=part, track_px=self.track_px[rows])
+            for part, rows in parts
+        }
 
 
 PARAMETERS = DetectorConfig.declared()

@@ -227,12 +227,13 @@ CAMERA_PREFIXES = ("camera", "camera/camera")
 def camera_names(topic: Topic, prefix: str, camera: str = "") -> list[str]:
     """Possible names of a camera's topic.
 
-    They are below a prefix, or, if that is empty, the usual ones, of a named camera below its name.
+    They are below a prefix, or, if that is empty, the usual ones; of a named camera below its name.
     """
-    if prefix:
-        return [topic.name.replace(CAMERA_PREFIXES[0], prefix.rstrip("/"), 1)]
-    usual = [topic.name.replace(CAMERA_PREFIXES[0], used, 1) for used in CAMERA_PREFIXES]
-    return [f"{camera}/{name}" if camera else name for name in usual]
+    prefixes = (prefix.rstrip("/"),) if prefix else CAMERA_PREFIXES
+    names = [topic.name.replace(CAMERA_PREFIXES[0], used, 1) for used in prefixes]
+    if not prefix:  # as usb_cam and v4l2_camera have it
+        names.append(topic.name.rpartition("/")[2])
+    return [f"{camera}/{name}" if camera else name for name in names]
 
 
 def of_camera(topic: Topic, camera: str) -> Topic:
