@@ -292,17 +292,43 @@ class _Fitting:
         inlier = inliers(self._residuals(optimum), self._z)
         if not inlier.all():
             optimum = self._solve(optimum, weights, images[inlier])
-        residual = self._residuals(optimum)
+        joints, velocity = self._path.joints_and_velocities(optimum.offset_s)
+        chart = Chart(optimum.chain)
+        residual, slopes = residuals_and_slopes(
+            chart, np.zeros(chart.size), joints, velocity, self._z
+        )
         residual_m, noise_m = self._distances_m(residual)
         ray_m, lateral_m = noise_by_direction(residual[:, :3], self._z)
         inlier = inliers(residual, self._z)
-        covariance, unfitted = self._moments(optimum, weights, inlier)
-        change, wider, _ = self._beside(optimum, weights, inlier, self._lens_slopes(), _LENS_PRIOR)
-        joints, more = (path.joints_and_velocities(optimum.offset_s)[0] for path in self._paths)
-        slopes = optimum.chain.jacobian(joints) * ((more - joints) / _LEAST_PLAY_RAD)[:, None]
-        by_play = self._beside(optimum, weights, inlier, slopes, _PLAY_PRIOR_RAD)
-        n, deviation = len(self._play_rad), np.sqrt(np.diag(by_play[1]))
-        play_rad = np.clip(self._play_rad + by_play[0][-n:], 0.0, MOST_PLAY_RAD)
+        missed = (weights @ residual[..., None])[inlier].ravel()
+
+        def beside(more: np.ndarray, prior: np.ndarray | float) -> tuple[np.ndarray, ...]:
+            """Changes with p more unknowns of slopes (k, m, p), their covariance, that without."""
+            columns = np.concatenate([slopes, more], axis=2)
+            rows = (weights @ columns)[inlier].reshape(-1, columns.shape[2])
+            deviation = np.full(columns.shape[2], _PRIOR)
+            deviation[chart.size + OFFSET] = _OFFSET_PRIOR_S
+            deviation[chart.size :] = prior
+            known = rows.T @ rows + np.diag(deviation**-2)
+            wider, own = np.linalg.inv(known), known[: chart.size, : chart.size]
+            return -wider @ (rows.T @ missed), wider, np.linalg.inv(own)
+
+        # A constant Jacobian beside the chain: noise alone makes a difference of the two fits as
+        # large as that of their covariances.
+        constant = np.kron(np.eye(self._z.shape[1]), (joints - joints.mean(axis=0))[:, None])
+        change, wider, covariance = beside(constant, _PRIOR)
+        unfitted = np.outer(change, change) - wider
+        unfitted[: chart.size, : chart.size] += covariance
+        # An error of the lens that is removed.
+        z = self._z / self._weights
+        without = [self._kind.without_lens(z, *error) for error in _STEP * np.eye(2)]
+        by_lens = self._weights[:, None] * (z[..., None] - np.stack(without, axis=-1)) / _STEP
+        change, wider, _ = beside(by_lens, _LENS_PRIOR)
+        later = self._paths[1].joints_and_velocities(optimum.offset_s)[0]
+        by_play = optimum.chain.jacobian(joints) * ((later - joints) / _LEAST_PLAY_RAD)[:, None]
+        more_rad, doubt, _ = beside(by_play, _PLAY_PRIOR_RAD)
+        n, deviation = len(self._play_rad), np.sqrt(np.diag(doubt))
+        play_rad = np.clip(self._play_rad + more_rad[-n:], 0.0, MOST_PLAY_RAD)
         play_rad *= play_rad > np.maximum(_LENS_DEVIATIONS * deviation[-n:], _LEAST_PLAY_RAD)
         chain = optimum.chain.weighted(1.0 / self._weights)
         return ChainFit(
@@ -390,49 +416,6 @@ class _Fitting:
         if len(apart_m) >= LEAST_PAIRS:
             noise_m = float(np.median(apart_m)) / math.sqrt(2.0)
         return float(np.median(np.linalg.norm(residual, axis=1))), noise_m
-
-    def _moments(
-        self, optimum: _Optimum, whitening: np.ndarray, inlier: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Covariance by the noise, and what a constant Jacobian beside the chain would change."""
-        joints = self._path.joints_and_velocities(optimum.offset_s)[0]
-        beside = np.kron(np.eye(self._z.shape[1]), (joints - joints.mean(axis=0))[:, None])
-        change, wider, covariance = self._beside(optimum, whitening, inlier, beside, _PRIOR)
-        # Noise alone makes a difference of the two fits as large as that of their covariances.
-        unfitted = np.outer(change, change) - wider
-        unfitted[: len(covariance), : len(covariance)] += covariance
-        return covariance, unfitted
-
-    def _lens_slopes(self) -> np.ndarray:
-        """How an error of the lens that is removed changes the residuals, (k, m, 2)."""
-        z = self._z / self._weights
-        without = [self._kind.without_lens(z, *error) for error in _STEP * np.eye(2)]
-        return self._weights[:, None] * (z[..., None] - np.stack(without, axis=-1)) / _STEP
-
-    def _beside(
-        self,
-        optimum: _Optimum,
-        whitening: np.ndarray,
-        inlier: np.ndarray,
-        beside: np.ndarray,
-        prior: np.ndarray | float,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Changes with p more unknowns of slopes (k, m, p), their covariance, and that without."""
-        joints, velocity = self._path.joints_and_velocities(optimum.offset_s)
-        chart = Chart(optimum.chain)
-        residual, slope = residuals_and_slopes(
-            chart, np.zeros(chart.size), joints, velocity, self._z
-        )
-        columns = np.concatenate([slope, beside], axis=2)
-        rows = (whitening @ columns)[inlier].reshape(-1, columns.shape[2])
-        missed = (whitening @ residual[..., None])[inlier].ravel()
-        deviation = np.full(columns.shape[2], _PRIOR)
-        deviation[chart.size + OFFSET] = _OFFSET_PRIOR_S
-        deviation[chart.size :] = prior
-        known = rows.T @ rows + np.diag(deviation**-2)
-        wider = np.linalg.inv(known)
-        covariance = np.linalg.inv(known[: chart.size, : chart.size])
-        return -wider @ (rows.T @ missed), wider, covariance
 
 
 def with_slide(chain: SerialChain, joint: int) -> SerialChain:
