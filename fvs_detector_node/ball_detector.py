@@ -215,19 +215,18 @@ def _evaluate(blob: Blob, scene: _Scene) -> BallDetection | Sighting:
     if distance_m < nearest_m or not ACCEPT.least_area < share < ACCEPT.most_area:
         return miss
     pad = 3 + max(0, int(2.4 * np.sqrt(expected_px / np.pi)) - min(box.width, box.height))
-    patch, coloured = _cut_out(blob, scene, pad)
-    rays = patch.rays()
-    fit = fit_sphere(patch, rays, distance_m, radius_m)
+    patch = _cut_out(blob, scene, pad)
+    fit = fit_sphere(patch, distance_m, radius_m)
     if fit is None or fit.on_outline < ACCEPT.on_outline:
         return miss
-    ball = _measured(patch, coloured, rays, fit, radius_m)
+    ball = _measured(patch, fit, radius_m)
     if ball.visible_fraction < ACCEPT.quality:
         return Sighting(None, f"only {ball.visible_fraction:.0%} of the ball is visible", box)
     return miss if ball.quality < ACCEPT.quality else ball
 
 
-def _cut_out(blob: Blob, scene: _Scene, pad: int) -> tuple[Patch, np.ndarray]:
-    """Surroundings of a blob, and which of their pixels have the ball's colour."""
+def _cut_out(blob: Blob, scene: _Scene, pad: int) -> Patch:
+    """A blob with its surroundings."""
     box, around = blob.box, blob.box.grown(pad, scene.camera)
     inside = np.zeros((around.height, around.width), bool)
     within = Region(box.u0 - around.u0, box.v0 - around.v0, box.width, box.height)
@@ -235,21 +234,19 @@ def _cut_out(blob: Blob, scene: _Scene, pad: int) -> tuple[Patch, np.ndarray]:
     depth = np.asarray(scene.depth_m[around.part], dtype=float)
     known = np.where((depth > 0.0) & (depth < np.inf), depth, 0.0)
     coloured = inside | (scene.mask[around.part] > 0)
-    return Patch(inside, known, around.view(scene.camera)), coloured
+    return Patch(inside, coloured, known, around.view(scene.camera))
 
 
-def _measured(
-    patch: Patch, coloured: np.ndarray, rays: np.ndarray, fit: SphereFit, radius_m: float
-) -> BallDetection:
+def _measured(patch: Patch, fit: SphereFit, radius_m: float) -> BallDetection:
     """The fitted ball, with its visible fraction."""
     expected_px = _outline_area_px(fit.direction, fit.distance_m, radius_m, patch.view)
     # Angles from the axis are compared by their cosines: d cos = -sin d angle.
     cone_cos = np.sqrt(1.0 - (radius_m / fit.distance_m) ** 2)
     pixel_cos = fit.pixel_rad * radius_m / fit.distance_m
-    on_ball = rays @ fit.direction >= cone_cos - 0.5 * pixel_cos
+    on_ball = patch.rays @ fit.direction >= cone_cos - 0.5 * pixel_cos
     # Pixels far in front of or behind it belong to another object.
     apart = np.abs(patch.depth_m - fit.distance_m * fit.direction[2]) > 2.0 * radius_m
-    visible = coloured & on_ball & ~(apart & (patch.depth_m > 0.0))
+    visible = patch.coloured & on_ball & ~(apart & (patch.depth_m > 0.0))
     fraction = min(1.0, float(np.count_nonzero(visible) / expected_px))
     roundness = float(np.exp(-np.square(fit.residual_m / (0.08 * radius_m))))
     return BallDetection(

@@ -9,6 +9,7 @@ hidden.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -50,9 +51,11 @@ class Patch:
     """A part of the image with a candidate in it; its arrays have the shape (h, w)."""
 
     inside: np.ndarray  # bool: the pixels of the candidate
+    coloured: np.ndarray  # bool: those of the ball's colour
     depth_m: np.ndarray  # 0 where unknown
     view: Intrinsics  # of this part
 
+    @cached_property
     def rays(self) -> np.ndarray:
         """Unit rays through all pixels, shape (h, w, 3)."""
         v, u = np.mgrid[: self.view.height, : self.view.width]
@@ -70,16 +73,14 @@ class SphereFit:
     pixel_rad: float  # angle of a pixel there
 
 
-def fit_sphere(
-    patch: Patch, rays: np.ndarray, distance_m: float, radius_m: float
-) -> SphereFit | None:
+def fit_sphere(patch: Patch, distance_m: float, radius_m: float) -> SphereFit | None:
     """Fit direction and distance of the centre alternately, from a first guess of the distance.
 
-    ``rays``, shape (h, w, 3), are those of the patch. None if too few depths lie on a sphere.
+    None if too few depths lie on a sphere.
     """
     outline, outside_m = _outline(patch)
     inside = np.flatnonzero(patch.inside)
-    own, depth_m = rays.reshape(-1, 3)[inside], patch.depth_m.ravel()[inside]
+    own, depth_m = patch.rays.reshape(-1, 3)[inside], patch.depth_m.ravel()[inside]
     direction = unit(np.ones(len(own)) @ own)
     known = depth_m > 0.0
     own = own[known]
