@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -78,13 +80,10 @@ class OnlineEstimator(Estimator):
     made_from = NETWORKS
 
     def __init__(
-        self,
-        model: RbfModel | None = None,
-        config: OnlineConfig | None = None,
-        kind: Kind | None = None,
+        self, model: RbfModel | None = None, config: Any = None, kind: Kind | None = None
     ) -> None:
         super().__init__(kind)
-        self.config = config if config is not None else OnlineConfig()
+        self.config: OnlineConfig = config or OnlineConfig()
         self._model = FrozenRbfEstimator(model, None, self.kind) if model is not None else None
         self.reset()
 
@@ -101,9 +100,6 @@ class OnlineEstimator(Estimator):
 
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
         """Present estimate, m/rad, shape (d, n), the same for all joints once it has begun."""
-        return self._present(joints_rad, z).copy()
-
-    def _present(self, joints_rad: np.ndarray, z: np.ndarray | None) -> np.ndarray:
         if self._jacobian is None:
             start = np.zeros((self.kind.size, len(joints_rad)))
             if self._model is not None:
@@ -112,30 +108,21 @@ class OnlineEstimator(Estimator):
                 return start
             self._jacobian = start
             self.covariance = self.config.initial_variance * np.eye(self._entries(*start.shape))
-        return self._jacobian
+        return self._jacobian.copy()
 
     def update(self, step: MotionStep) -> None:
         """Learn from one step; what would not be finite changes nothing."""
-        with np.errstate(all="ignore"):
-            learned = self._try(step)
-        if learned is None:
-            self.refused += 1
-            return
-        self._jacobian, self.covariance = learned
-        self.updates += 1
-
-    def _try(self, step: MotionStep) -> tuple[np.ndarray, np.ndarray] | None:
-        """Jacobian and covariance after a step; None if it must not be learned from."""
-        before = self._present(step.joints_rad, step.z)
-        if self._jacobian is None:  # the networks give no number there
-            return None
-        try:
-            jacobian, covariance = self._learned(before, self.covariance, step)
-            # Raises unless positive definite, to discard a covariance with rounding errors.
-            np.linalg.cholesky(covariance)
-        except np.linalg.LinAlgError:
-            return None
-        return (jacobian, covariance) if _is_finite(jacobian) and _is_finite(covariance) else None
+        with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
+            before = self.jacobian(step.joints_rad, step.z)
+            if self._jacobian is not None:  # else the networks give no number there
+                jacobian, covariance = self._learned(before, self.covariance, step)
+                # Raises unless positive definite, to discard a covariance with rounding errors.
+                np.linalg.cholesky(covariance)
+                if _is_finite(jacobian) and _is_finite(covariance):
+                    self._jacobian, self.covariance = jacobian, covariance
+                    self.updates += 1
+                    return
+        self.refused += 1
 
     @abstractmethod
     def _entries(self, m: int, n: int) -> int:

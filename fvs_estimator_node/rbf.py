@@ -101,7 +101,7 @@ class FrozenRbfEstimator(Estimator):
 
     def __init__(self, model: RbfModel, config: Any = None, kind: Kind | None = None) -> None:
         super().__init__(kind)
-        self.config: Any = config if config is not None else self.config_type()
+        self.config: Any = config or self.config_type()
         self.model, self._offline = model, model.weights * self.kind.learned[:, None]
         self._offset, self._slope, self._curvature = _exponent_terms(model.centres, model.widths)
         self.reset()
