@@ -8,6 +8,8 @@ chain.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from fvs_ros.chain import SerialChain
@@ -31,9 +33,7 @@ class Chart:
         # The point of each axis that is closest to the feature keeps the coordinates small.
         out = chain.points_m - chain.feature_m[:3]
         self._points = chain.points_m - axes * np.sum(out * axes, axis=1, keepdims=True)
-        self._axes, self._feature, self._reference = axes, chain.feature_m, chain.reference_rad
-        self._prismatic, self._on_arm = chain.prismatic, chain.on_arm
-        count = self.basis.size // 3
+        self._chain, count = chain, self.basis.size // 3
         self.turns, self.shifts = slice(count), slice(count, 2 * count)
         self.size = 2 * count + chain.feature_m.size + 1
         self.of_feature = slice(2 * count, self.size - 1)
@@ -43,15 +43,13 @@ class Chart:
 
     def directions(self, values: np.ndarray) -> np.ndarray:
         """The axes before they are normalised, (n, 3)."""
-        return self._axes + self._along(values[self.turns])
+        return self._chain.axes + self._along(values[self.turns])
 
     def chain(self, values: np.ndarray) -> SerialChain:
         """The chain at coordinates; ValueError if it would not be a valid chain."""
-        points = self._points + self._along(values[self.shifts])
-        feature = self._feature + values[self.of_feature]
-        axes = self.directions(values)
-        reference, prismatic = self._reference, self._prismatic
-        return SerialChain(axes, points, feature, reference, prismatic, on_arm=self._on_arm)
+        axes, points_m = self.directions(values), self._points + self._along(values[self.shifts])
+        feature_m = self._chain.feature_m + values[self.of_feature]
+        return replace(self._chain, axes=axes, points_m=points_m, feature_m=feature_m)
 
 
 def residuals_and_slopes(
