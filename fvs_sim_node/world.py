@@ -265,13 +265,12 @@ class World:
             u, v = u - region.u0, v - region.v0
         view = region.view(intrinsics) if region else intrinsics
         rgb, depth_m = renderer.render(camera, region, step)
-        jacobians = self._jacobians(self.joint_states()[0])
-        arm_m_s, arm_rad_s = (jacobian @ velocities_rad_s for jacobian in jacobians)
+        joints = self.joint_states()[0]
+        arm_m_s = self.chain.jacobian(joints) @ velocities_rad_s
+        arm_rad_s = velocities_rad_s @ self.chain.motion(joints)[1]
+        bodies = []
         if not self._on_arm:
-            linear, angular = camera.rotation.T @ arm_m_s, camera.rotation.T @ arm_rad_s
-            pose = camera.pose_to_own(self.feature_pose())
-            poses = exposed(pose, linear, angular, config.exposure_s)
-            self.body.paint((rgb, depth_m, view), poses, rng)
+            bodies.append((self.body, self.feature_pose(), arm_m_s, arm_rad_s))
         if self.object is not None:
             linear = np.array(config.object_velocity_m_s)
             angular = np.array([0.0, 0.0, np.radians(config.object_turn_rate_deg_s)])
@@ -279,29 +278,17 @@ class World:
                 beside_m = self.object_pose.position_m - self.carried_position()
                 linear -= arm_m_s + np.cross(arm_rad_s, beside_m)
                 angular -= arm_rad_s
-            pose = camera.pose_to_own(self.object_pose)
-            linear, angular = linear @ camera.rotation, angular @ camera.rotation
-            poses = exposed(pose, linear, angular, config.exposure_s)
-            self.object.paint((rgb, depth_m, view), poses, rng)
+            bodies.append((self.object, self.object_pose, linear, angular))
+        for body, pose, linear, angular in bodies:
+            speeds = linear @ camera.rotation, angular @ camera.rotation
+            poses = exposed(camera.pose_to_own(pose), *speeds, config.exposure_s)
+            body.paint((rgb, depth_m, view), poses, rng)
         if renderer.undistorted:
             return cv2.remap(rgb, u, v, cv2.INTER_LINEAR), np.zeros(u.shape, np.float32)
         if step > 1:  # for a detector that takes no depths
             return rgb, depth_m
         depth_m = add_depth_noise(depth_m, intrinsics.fx, rng, config.depth_noise)
         return rgb, depth_m * np.float32(1.0 + config.depth_error)
-
-    def _jacobians(self, joints_rad: np.ndarray) -> list[np.ndarray]:
-        """Of the ball's position and of the link's rotation, each of shape (3, n)."""
-        # PyBullet takes the point along the link's inertial axes.
-        ball_m = np.array([0.0, 0.0, self._offset_m])
-        point = _matrix(self._link_state()[3]).T @ ball_m
-        zeros = [0.0] * self._moving
-        angles = np.zeros(self._moving)
-        angles[self._columns] = joints_rad
-        jacobians = self.client.calculateJacobian(
-            self._robot, self._link, point.tolist(), angles.tolist(), zeros, zeros
-        )
-        return [np.array(jacobian)[:, self._columns] for jacobian in jacobians]
 
     @cached_property
     def chain(self) -> SerialChain:
@@ -316,11 +303,17 @@ class World:
             ways_m = self.body.points_m @ mount.T
             ways_m[1:] -= ways_m[0]
             carried = np.append(carried + ways_m[0], ways_m[1:])
-        zeros = np.zeros(len(self._joints))
-        linear, axes = (jacobian.T for jacobian in self._jacobians(zeros))
+        # PyBullet takes the point along the link's inertial axes.
+        point = _matrix(self._link_state()[3]).T @ [0.0, 0.0, self._offset_m]
+        zeros = [0.0] * self._moving
+        jacobians = self.client.calculateJacobian(
+            self._robot, self._link, point.tolist(), zeros, zeros, zeros
+        )
+        linear, axes = (np.array(jacobian)[:, self._columns].T for jacobian in jacobians)
         points_m = self._zero_position_m + np.cross(axes, linear)
         axes = np.where(self._prismatic[:, None], linear, axes)
-        return SerialChain(axes, points_m, carried, zeros, self._prismatic)
+        reference = np.zeros(len(self._joints))
+        return SerialChain(axes, points_m, carried, reference, self._prismatic)
 
     # --------------------------------------------------- where to begin, and from where to watch
     @cached_property
