@@ -189,7 +189,7 @@ class DemoNode(ros.FvsNode):
         if not self._records and waited_s > demo.START_TIMEOUT_S:
             print(f"the loop did not get ready: {self._state} {self._reason}", flush=True)
             self.exit_code = stop.EXIT_FAILURE
-        late_s = self.monitor(self._kind.truth.name).age_s(self.now_s())
+        late_s = self.monitor(self._kind.parts[0].truth.name).age_s(self.now_s())
         if self._records and late_s > 5.0:
             print(f"the simulator has been silent for {late_s:.0f} s", flush=True)
             self.exit_code = stop.EXIT_FAILURE

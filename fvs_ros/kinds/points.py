@@ -58,7 +58,7 @@ class Points(Kind):
     name, what = "points", "pattern"
     columns = axes = _names(_COUNT)
     box_size, rigid = 0, False
-    models = ("models/ur5_front_points.npz", "")
+    models = ("models/ur5_webcams.npz", "")
     topics = _TOPICS._replace(
         tool=replace(_TOPICS.tool, subscribers=(SIM, ESTIMATOR, CONTROLLER, COLLECTOR)),
         target=replace(_TOPICS.target, publishers=(DEMO,)),

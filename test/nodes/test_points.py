@@ -258,13 +258,14 @@ def test_what_is_clicked_on_is_followed_by_the_detector_until_it_is_taken_back(r
     status.wait_for("LOST", "nothing in view has the ball's colour")
 
 
-def test_the_demo_brings_the_ball_before_a_webcam_to_a_target(ros_test):
+def test_the_demo_brings_the_ball_before_two_webcams_to_a_target(ros_test):
     few = "targets:=1", "target_s:=3.0", "image_rate_hz:=15.0", "output_dir:=out"
     webcam = "feature:=points", "simulated_time:=true", "use_sim_time:=true"
     arguments = (word for value in (*few, *webcam) for word in ("-p", value))
     process = ros_test.start("fvs_tools.launcher", "demo", *arguments)
     assert ros_test.wait(process, 120.0) == 0, ros_test.output(process)
     (result,) = json.loads((ros_test.folder / "out" / "results.json").read_text())
+    assert len(result["target_m"]) == 4
     assert result["start_distance_m"] > 40.0 * KIND.pixel_m
     assert result["final_rms_m"] < 1.0 * KIND.pixel_m
     assert "1.0 px" in ros_test.output(process)
