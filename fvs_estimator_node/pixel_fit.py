@@ -2,8 +2,8 @@
 
 The unknowns are the 4 n + 3 K numbers of a chain of n joints that carries K points, the lens' focal
 length, centre and k1, and how late a picture and each of its rows are exposed. They are found by
-robust non-linear least squares with exact derivatives, from random starts on some images; the best
-go on to all.
+robust non-linear least squares with exact derivatives, from random starts on some points of some
+images; the best go on to all.
 
 The scale stays free: a pixel, and so the Jacobian, does not depend on it.
 """
@@ -30,6 +30,11 @@ from fvs_ros.timeline import MAX_GAP_S
 
 #: Fewest images of a motion that are fitted, and images of the search for the right start.
 _LEAST_IMAGES, _SEARCH_IMAGES = 100, 200
+#: Points of the search, and most pixels that are fitted: a minute of so many points determines the
+#: Jacobian to 0.06 % or better, and more would only take longer.
+_SEARCH_POINTS, _MOST_PIXELS = 4, 8000
+#: Joints at which the fit's Jacobian is judged.
+_JUDGED = 50
 #: Random starts: at least, where the noise is unknown, and at most; and steps of each. One of four
 #: reaches the best optimum, and some another whose residuals are larger by 2 %: the best few go on.
 _LEAST_STARTS, _MOST_STARTS, _STEPS, _FEW = 30, 80, 60, 3
@@ -129,19 +134,24 @@ def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> 
     fitting = _Fitting(path, data)
     if fitting.spread_px < 1.0:
         raise ChainFitError("the points do not move in the data set, so there is no chain to find")
+    outer = _outer(fitting.pixels[0])
+    columns = np.arange(data.z.shape[1]).reshape(-1, 2)[outer].ravel()
+    search = _Fitting(path, replace(data, z=data.z[:, columns]))
     with threadpool_limits(1):  # matrices of few columns
         say("looking for the axes")
-        start = fitting.start()
+        start = search.start()
         say("fitting")
-        fit = fitting.finish(start)
+        fit = search.finish(start)
+        if len(columns) < data.z.shape[1]:
+            fit = fitting.finish([fitting.with_all_points(fit.chain, outer)])
     if fit.residual_m > _ROUGH * fitting.spread_px * fitting.unit_m:
         raise ChainFitError(
             "no arm with these joints explains the pixels, which are "
             f"{data.kind.length_text(fit.residual_m, 1)} off it; check joint names and units, and "
             "that camera and points stayed fixed"
         )
-    some = np.linspace(0, len(data) - 1, _SEARCH_IMAGES).astype(int)
-    deviation = float(np.median(fit.jacobian_deviation(data.joints_rad[some])))
+    judged_rad = _spread(data.joints_rad, _JUDGED)
+    deviation = float(np.median(fit.jacobian_deviation(judged_rad)))
     if not deviation <= _UNKNOWN:
         raise ChainFitError(
             f"the Jacobian is known to {100.0 * deviation:.1f} % only, at most "
@@ -202,8 +212,7 @@ class _Fitting:
         self.spread_px = float(np.linalg.norm(data.z[:, :2].std(axis=0)))
         self._middle, self._side = self.pixels.mean(axis=(0, 1)), float(np.abs(data.z).max())
         self._all = np.arange(len(self.pixels))
-        few = np.linspace(0, len(self.pixels) - 1, min(_SEARCH_IMAGES, len(self.pixels)))
-        self._few = few.astype(int)
+        self._few = _spread(self._all, _SEARCH_IMAGES)
 
     def start(self) -> list[PixelChain]:
         """The best few of some random chains, each joint of which may be prismatic, too."""
@@ -232,27 +241,38 @@ class _Fitting:
     def _random(self, rng: np.random.Generator) -> PixelChain:
         """A chain anywhere about the points, which stay before a usual lens."""
         joints = self._path.joints_and_velocities(0.0)[0]
-        central = int(np.linalg.norm(joints - joints.mean(axis=0), axis=1).argmin())
+        central = _nearest(joints, joints.mean(axis=0))
         focal_px = self._side * math.exp(_FOCAL * rng.normal())
         rays = np.insert((self.pixels[central] - self._middle) / focal_px, 2, 1.0, axis=1)
         axes, near = rng.normal(size=(2, joints.shape[1], 3))
-        near, carried = _NEAR * near, np.append(rays[0], (rays[1:] - rays[0]).ravel())
+        near, carried = _NEAR * near, _carried(rays)
         while True:
             chain = SerialChain(axes, rays[0] + near, carried, joints[central])
             if points_of(chain.position(joints))[..., 2].min() > _CLOSEST:
                 return PixelChain(chain, Webcam(focal_px, tuple(self._middle.tolist())))
             near, carried[3:] = 0.8 * near, 0.8 * carried[3:]
 
+    def with_all_points(self, model: PixelChain, known: list[int]) -> PixelChain:
+        """The model of some of the points with the others as far away as those."""
+        joints, lens = self._path.joints_and_velocities(0.0)[0], model.webcam
+        pixels = self.pixels[_nearest(joints, model.chain.reference_rad)]
+        rays = np.insert((pixels - lens.centre_px) / lens.focal_px, 2, 1.0, axis=1)
+        of_known = points_of(model.chain.feature_m)
+        points = of_known[:, 2].mean() * rays
+        points[known] = of_known
+        return replace(model, chain=replace(model.chain, feature_m=_carried(points)))
+
     def finish(self, models: list[PixelChain]) -> PixelFit:
         """Fit all images, then without outliers, by the best of some models."""
-        images, (scale_px, _) = self._all, self._deviations_px(models[0])
+        inliers, (scale_px, _) = self._all, self._deviations_px(models[0])
         for _ in range(2):
+            images = _spread(inliers, _MOST_PIXELS // self.pixels.shape[1])
             optima = [self._descend(model, images, scale_px, _CONVERGED) for model in models]
             optimum = min(optima, key=attrgetter("cost"))
             models = [optimum.model]
             scale_px, noise_px = self._deviations_px(optimum.model)
             off_px = np.abs(self._off_px(optimum.model)).max(axis=(1, 2))
-            images = np.flatnonzero(off_px <= OUTLIER * scale_px)
+            inliers = np.flatnonzero(off_px <= OUTLIER * scale_px)
         model, covariance = optimum.model, np.linalg.inv(optimum.hessian)
         return PixelFit(
             chain=model,
@@ -261,14 +281,19 @@ class _Fitting:
             time_offset_deviation_s=float(covariance[-2, -2] ** 0.5),
             residual_m=self.unit_m * scale_px,
             noise_m=self.unit_m * noise_px,
-            outliers=len(off_px) - len(images),
+            outliers=len(off_px) - len(inliers),
             samples=len(off_px),
             covariance=covariance,
         )
 
     def _off_px(self, model: PixelChain) -> np.ndarray:
         """Model minus pixels, px, (k, K, 2)."""
-        return residuals(model, self._path, self.pixels, self._all)[0]
+        joints, velocity = self._path.joints_and_velocities(model.webcam.late_s)
+        seen, jacobian = model.position_and_jacobian(joints)
+        below_px = self.pixels[..., 1:] - self.pixels[..., 1].mean()
+        moved = (jacobian @ velocity[..., None]).reshape(self.pixels.shape)
+        off_px = seen.reshape(self.pixels.shape) - self.pixels
+        return np.asarray(off_px + model.webcam.line_s * below_px * moved)
 
     def _deviations_px(self, model: PixelChain) -> tuple[float, float]:
         """Standard deviations of a coordinate, px, and of its noise; see :class:`PixelFit`."""
@@ -324,6 +349,29 @@ class _Fitting:
         cost = 8.0 * float(np.sum(root - 1.0)) + float(np.sum((held / deviation) ** 2))
         gradient = rows.T @ missed + held / deviation**2
         return _Optimum(model, cost, gradient, rows.T @ rows + np.diag(deviation**-2))
+
+
+def _carried(points: np.ndarray) -> np.ndarray:
+    """What a chain carries, (3 K,), of points, (K, 3): the inverse of :func:`points_of`."""
+    return np.append(points[0], (points[1:] - points[0]).ravel())
+
+
+def _outer(pixels: np.ndarray) -> list[int]:
+    """The outermost of some points, (K, 2), if there are more than the search takes."""
+    if len(pixels) <= _SEARCH_POINTS:
+        return list(range(len(pixels)))
+    u, v = pixels.T
+    ends = [end for along in (u + v, u - v) for end in (along.argmin(), along.argmax())]
+    return sorted({int(end) for end in ends})
+
+
+def _nearest(joints_rad: np.ndarray, to_rad: np.ndarray) -> int:
+    return int(np.linalg.norm(joints_rad - to_rad, axis=1).argmin())
+
+
+def _spread(values: np.ndarray, most: int) -> np.ndarray:
+    """At most so many rows, evenly."""
+    return values[np.linspace(0, len(values) - 1, min(most, len(values))).astype(int)]
 
 
 def _deviation_px(off_px: np.ndarray) -> float:

@@ -31,7 +31,9 @@ from fvs_tools.train import report
 LENS = Webcam(560.0, (310.0, 255.0), -0.25, 0.06, 4e-5)
 NOISE_PX, RATE_HZ, REACH_RAD = 0.3, 30.0, 0.3
 #: Ways from the first point to the others, m.
-OTHERS_M = 0.08 * np.array([[1.0, 0.0, 0.5], [0.0, 1.0, -0.5], [-1.0, 0.6, 0.3]])
+OTHERS_M = 0.08 * np.array(
+    [[1.0, 0.0, 0.5], [0.0, 1.0, -0.5], [-1.0, 0.6, 0.3], *np.ndindex(2, 2, 2)]
+)
 
 
 def before_camera(chain, points=1):
@@ -100,6 +102,7 @@ def test_derivatives_are_exact():
         (seen_from_anywhere(np.random.default_rng(1)), 1, 0.0),
         (seen_from_anywhere(np.random.default_rng(2)), 1, 0.05),
         (strange_arm(7, np.random.default_rng(3)), 4, 0.0),
+        (seen_from_anywhere(np.random.default_rng(5)), 12, 0.02),
         (strange_arm(5, np.random.default_rng(4)), 1, 0.0),
     ],
 )
