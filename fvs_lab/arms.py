@@ -58,7 +58,7 @@ def collect(simulation: Simulation, config: CollectorConfig, late_s: float = 0.0
         out = simulation.advance()
         for image in out.observations:
             if image.z is not None:
-                run.image(out.time_s, image.stamp_s + late_s, image.z)
+                run.image(out.time_s, image.stamp_s + late_s, image.z, image.number)
         run.joint_states(out.time_s, out.time_s, out.joints_rad)
         command = run.tick(out.time_s, period_s)
         if simulation.config.command_interface == POSITION:
@@ -66,7 +66,8 @@ def collect(simulation: Simulation, config: CollectorConfig, late_s: float = 0.0
         simulation.command(command)
     names = simulation.world.joint_names
     seen = {"feature": config.feature, "camera_mount": config.camera_mount}
-    return data_set_of(*run.samples, joint_names=names, **seen)
+    cameras = config.kind.cameras
+    return data_set_of(*run.samples, joint_names=names, cameras=cameras, **seen)
 
 
 def learn(arm: str, duration_s: float) -> tuple[TrainedModel, float]:
