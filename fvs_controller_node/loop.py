@@ -268,11 +268,11 @@ class ServoLoop:
         there_s = on_own_clock(stamp_s, self._stamp_s)
         if camera is not None:
             self._parts[camera] = z
-            parts = [self._parts.get(i) for i in range(len(self.eyes))]
-            wanted = [part for part in parts if part is not None]
-            if len(wanted) < len(parts):
-                return True, "target: the other cameras' parts are still to come"
-            z, self._parts = np.concatenate(wanted), {}
+            names = [part.topics.target.name for part in self.kind.parts]
+            missing = [name for i, name in enumerate(names) if i not in self._parts]
+            if missing:
+                return True, f"target: {' and '.join(missing)} still to come"
+            z, self._parts = np.concatenate([self._parts[i] for i in range(len(names))]), {}
         if frame == OBJECT_FRAME and self.kind.on_arm:
             z = self._lens.measured(self.kind.inverse(z))
             frame = self.supervisor.config.feature_frame
