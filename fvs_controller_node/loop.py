@@ -276,6 +276,8 @@ class ServoLoop:
         if frame == OBJECT_FRAME and self.kind.on_arm:
             z = self._lens.measured(self.kind.inverse(z))
             frame = self.supervisor.config.feature_frame
+        elif frame == OBJECT_FRAME and len(self.eyes) > 1:
+            return False, "target refused: one relative to an object is of a single camera"
         elif frame == OBJECT_FRAME:
             return self._set_relation(z)
         accepted, text = self._set_target(z, frame, there_s, self._stamp_s - there_s)
