@@ -62,12 +62,8 @@ class JointMap:
 
     Where a driver wraps a joint, at pi or elsewhere, its positions go on; a step that no joint can
     make is refused. The robot's driver puts ``tf_prefix`` before each name. The first positions are
-    within half a turn of ``middle_rad``, rad, (n,), if that is set.
-
-    Raises
-    ------
-    ValueError
-        If they are not different names.
+    within half a turn of ``middle_rad``, rad, (n,), if that is set. Names that are not different
+    raise a ``ValueError``.
     """
 
     def __init__(self, names: Sequence[str] = UR_JOINT_NAMES, tf_prefix: str = "") -> None:
@@ -88,15 +84,10 @@ class JointMap:
     ) -> np.ndarray:
         """Angles, rad, (n,), in kinematic order, of a message with these names and values.
 
-        They are finite and plausible. Without a stamp, s, they are as they come, with any step.
-
-        Raises
-        ------
-        ForeignJointsError
-            If the message holds none of the wanted joints.
-        JointStateError
-            If some joints are missing, sizes differ, an angle is not finite or implausible, there
-            is no stamp, or a joint jumped.
+        They are finite and plausible. Without a stamp, s, they are as they come, with any step. A
+        ``JointStateError`` says that some joints are missing, sizes differ, an angle is not finite
+        or implausible, there is no stamp, or a joint jumped; a ``ForeignJointsError``, that the
+        message holds none of the wanted joints.
         """
         key = tuple(names)
         if key != self._cached_for:

@@ -164,23 +164,14 @@ class ParameterSet:
         return {name: self[name].check(value) for name, value in values.items()}
 
 
-def parameter(
-    default: Any,
-    description: str,
-    minimum: float | None = None,
-    maximum: float | None = None,
-    *,
-    choices: tuple[str, ...] = (),
-    size: int | None = None,
-    live: bool = False,
-    broadcast: bool = False,
-) -> Any:
+def parameter(default: Any, description: str, *bounds: Any, **options: Any) -> Any:
     """A field of a :class:`Parameters` dataclass that is a node's parameter.
 
-    What it takes is that of :class:`Parameter`; its name is the field's. A tuple is a list in ROS.
+    Bounds, least and greatest, and options are those of :class:`Parameter`; its name is the
+    field's. A tuple is a list in ROS.
     """
     values = list(default) if isinstance(default, tuple) else default
-    declared = Parameter("", values, description, minimum, maximum, choices, size, live, broadcast)
+    declared = Parameter("", values, description, *bounds, **options)
     return field(default=default, metadata={_DECLARED: declared})
 
 
