@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -41,22 +42,19 @@ class Robot:
     @property
     def installed(self) -> bool:
         """Whether its URDF is here."""
-        return self._path() is not None
-
-    def _path(self) -> Path | None:
-        package, _, inside = self.urdf.partition("/")
-        if package not in _PACKAGES:
-            return find_file(self.urdf)
-        paths = (Path(folder, _PACKAGES[package], inside) for folder in sys.path)
-        return next((path for path in paths if path.is_file()), None)
+        with suppress(ValueError):
+            return bool(self.file())
+        return False
 
     def file(self) -> Path:
         """The URDF; a ``ValueError`` says which package to install."""
-        path = self._path()
-        if path is None:
-            package, _, inside = self.urdf.partition("/")
-            raise ValueError(f"robot: {inside} is not installed; run pip install {package}")
-        return path
+        package, _, inside = self.urdf.partition("/")
+        if package not in _PACKAGES:
+            return find_file(self.urdf)
+        for folder in sys.path:
+            if (path := Path(folder, _PACKAGES[package], inside)).is_file():
+                return path
+        raise ValueError(f"robot: {inside} is not installed; run pip install {package}")
 
 
 def _example(path: str, ball_link: str) -> Robot:
