@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -501,6 +502,9 @@ class _Content(dict[str, Any]):
         count, names = len(self.common["cameras"]), self.common["joint_names"]
         self.setdefault("chain_lens", np.zeros(2))  # older files lack these
         self.setdefault("chain_play_rad", np.zeros(len(names)))
+        for stored in _CHAIN:
+            if len(np.atleast_1d(self[stored])) % count:
+                raise ValueError(f"{stored} has not as many rows for each of {count} cameras")
         blocks = [np.split(np.atleast_1d(self[stored]), count) for stored in _CHAIN]
         on_arm = self.common["camera_mount"] == ON_ARM
         arms = [
@@ -509,8 +513,10 @@ class _Content(dict[str, Any]):
         ]
         if KINDS[self.common["feature"]].rigid:
             return arms[0]
-        webcams = np.asarray(self["webcam"], dtype=float).reshape(count, -1)
-        return PixelChains(tuple(map(PixelChain, arms, map(Webcam.of_numbers, webcams))))
+        lenses = SimpleNamespace(webcam=self["webcam"])
+        check_arrays(lenses, {"webcam": (6 * count,)})
+        webcams = map(Webcam.of_numbers, np.split(lenses.webcam, count))
+        return PixelChains(tuple(map(PixelChain, arms, webcams)))
 
     def texts(self, name: str, dimensions: int = 1) -> tuple[str, ...]:
         """A list of texts, or a single one without dimensions."""

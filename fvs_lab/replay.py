@@ -48,7 +48,8 @@ def read(path: Path, namespace: str = "") -> tuple[list[TargetRecord], Sequence[
         if not kinds:
             targets = " or ".join(prefix + kind.topics.target.name for kind in KINDS.values())
             raise BagError(
-                f"it has no {targets} (--namespace names the nodes'); it has "
+                f"it has no {targets} (--namespace names the nodes'; of named webcams there is no "
+                "replay); it has "
                 f"{', '.join(held)[:600] or 'no messages'}"
             )
         kind, rows = kinds[0], defaultdict[topics.Topic, _Rows](list)

@@ -33,6 +33,7 @@ from fvs_ros.chain import CHAIN_SHAPES
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.kinds import KindConfig
 from fvs_ros.kinds.pose import Pose
+from fvs_ros.pixel_chain import PixelChain, PixelChains, Webcam
 
 
 def some_data(n=8, names=("a", "b", "c")):
@@ -56,9 +57,24 @@ def some_model():
     )
 
 
+def some_webcams():
+    rng, chain = np.random.default_rng(0), ur5_chain()
+    each = (PixelChain(chain, Webcam(focal_px, (320.0, 240.0))) for focal_px in (500.0, 600.0))
+    model = some_model()
+    return replace(
+        model,
+        model=replace(model.model, weights=rng.normal(size=(6, 4, 4))),
+        z_samples=rng.normal(size=(5, 4)),
+        chain=PixelChains(tuple(each)),
+        feature="points",
+        cameras=("front", "side"),
+    )
+
+
 FILES = {
     "data set": (save_data_set, load_data_set, some_data),
     "model": (save_model, load_model, some_model),
+    "webcams": (save_model, load_model, some_webcams),
 }
 
 
@@ -139,6 +155,12 @@ WRONG = [
     ("model", {"provenance": np.array("[1]")}, "not a JSON object"),
     ("model", {"joint_box_rad": np.array([[1.0] * 6, [-1.0] * 6])}, "least value above"),
     ("model", {"chain_feature_m": None}, "lacks the field 'chain_feature_m'"),
+    ("webcams", {"cameras": np.array(["front", "front"])}, "different names"),
+    ("webcams", {"cameras": np.array(["a", "b", "c"])}, "not as many rows for each of 3 cameras"),
+    ("webcams", {"webcam": np.array(["1"] * 11 + ["a"])}, "webcam holds something that is not"),
+    ("webcams", {"webcam": None}, "lacks the field 'webcam'"),
+    ("webcams", {"webcam": np.ones(7)}, r"webcam has shape \(7,\), expected \(12\)"),
+    ("webcams", {"chain_axes": np.ones((13, 3))}, "chain_axes has not as many rows"),
     ("model", {"chain_axes": ZERO_AXIS}, "an axis of a chain has no direction"),
 ]
 
