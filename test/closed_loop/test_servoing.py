@@ -69,7 +69,7 @@ def test_a_frozen_image_with_fresh_stamps_is_found_before_the_arm_goes_far(name,
     loop = loop_from(name, np.array(CASE.start_rad), simulation)
     _, errors_m = run(loop, target, 0.2)
     add_image, frozen = loop.loop.add_image, loop.true_feature
-    loop.loop.add_image = lambda now_s, stamp_s, _: add_image(now_s, stamp_s, frozen)
+    loop.loop.add_image = lambda now_s, stamp_s, _, *eye: add_image(now_s, stamp_s, frozen, *eye)
     commands, later_m = run(loop, target, 0.6)
     assert loop.loop.supervisor.last.reason is Reason.IMAGE_NOT_FOLLOWING
     assert not commands[-1].any()
