@@ -186,7 +186,8 @@ class UkfEstimator(OnlineEstimator):
     The measurement is linear in the entries, and there an unscented transform is exact: up to
     rounding this *is* the linear filter, whatever the spread of the sigma points, at several times
     its cost. It is here because visual servoing is often compared with it. Weights as in R. van
-    der Merwe, Sigma-Point Kalman Filters, 2004, with alpha 1, beta 2 and kappa 0.
+    der Merwe, Sigma-Point Kalman Filters, 2004, with alpha 1, beta 2 and kappa 0; the middle point
+    is the mean, and counts for nothing.
     """
 
     def _entries(self, m: int, n: int) -> int:
@@ -195,27 +196,19 @@ class UkfEstimator(OnlineEstimator):
     def _learned(
         self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
     ) -> tuple[np.ndarray, np.ndarray]:
-        m, count = len(jacobian), jacobian.size
-        variance_m2 = self.config.step_variance_m2
-        predicted = self._predicted(covariance, step.dt_s)
-        arms = math.sqrt(count) * np.linalg.cholesky(predicted).T
-        # The middle point has no weight in the mean, and 2 in the covariance.
-        mean_weights = np.append(0.0, np.full(2 * count, 0.5 / count))
-        weights = np.append(2.0, mean_weights[1:])[:, None]
-        points = np.concatenate([np.zeros((1, count)), arms, -arms]) + jacobian.reshape(count)
-        moved_m = points.reshape(-1, *jacobian.shape) @ step.d_joints_rad
-
-        mean, mean_m = mean_weights @ points, mean_weights @ moved_m
-        deviations, deviations_m = points - mean, moved_m - mean_m
-        weighted_m = weights * deviations_m
-        innovation = deviations_m.T @ weighted_m + variance_m2 * np.eye(m)
-        gain = np.linalg.solve(innovation, weighted_m.T @ deviations).T
-        after = mean + gain @ (step.d_feature_m - mean_m)
+        moved, variance_m2 = step.d_joints_rad, self.config.step_variance_m2
+        predicted, weight = self._predicted(covariance, step.dt_s), 0.5 / jacobian.size
+        arms = math.sqrt(jacobian.size) * np.linalg.cholesky(predicted).T
+        deviations = np.concatenate([arms, -arms])  # of the points from their mean
+        deviations_m = deviations.reshape(-1, *jacobian.shape) @ moved
+        innovation = weight * deviations_m.T @ deviations_m + variance_m2 * np.eye(len(jacobian))
+        gain = np.linalg.solve(innovation, weight * deviations_m.T @ deviations).T
+        after = jacobian + (gain @ (step.d_feature_m - jacobian @ moved)).reshape(jacobian.shape)
         # The covariance of what the gain leaves of the points: P - K S K' in Joseph's form,
         # whose terms are squares, where the difference would lose its sign to rounding.
         left = deviations - deviations_m @ gain.T
-        spread = left.T @ (weights * left) + variance_m2 * (gain @ gain.T)
-        return after.reshape(jacobian.shape), 0.5 * (spread + spread.T)
+        spread = weight * left.T @ left + variance_m2 * (gain @ gain.T)
+        return after, 0.5 * (spread + spread.T)
 
 
 class RlsEstimator(LkfEstimator):
