@@ -11,6 +11,8 @@ import numpy as np
 
 from fvs_controller_node.references import Reference
 from fvs_ros import topics
+from fvs_ros.kinds import Kind
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.status import SILENT, SILENT_S, number, vector
 
 #: Length of the curves, s.
@@ -27,7 +29,8 @@ _SHOWN_S = {"feature": 0.5, "object": 0.5, "controller": SILENT_S, "detector": 2
 class Action(NamedTuple):
     """One user action with its value: a target, on or off, or a setting.
 
-    A target is x, y, z, camera frame, m, and its quaternion, w first, where it was turned by hand.
+    A target is x, y, z, camera frame, m, and its quaternion, w first, where it was turned by hand;
+    or u and v, px, of the first point in each camera's picture.
 
     The name is a service of the controller, ``target``, ``tour``, ``reset`` or ``bump``, ``teach``
     or ``go`` with the name of a reference, or ``node/parameter`` to set a parameter.
@@ -56,6 +59,11 @@ class Controller:
         """A key number; NaN while unknown."""
         return number(self.values, key)
 
+    def target_px(self, kind: Kind) -> np.ndarray:
+        """The target's image points, px, by camera, (C, K, 2); NaN while unknown."""
+        numbers = [self.number(f"target_{column}") for column in kind.columns]
+        return np.reshape(numbers, (len(kind.cameras), -1, 2))
+
 
 class Trace:
     """The last seconds of some numbers, ``columns`` at a time."""
@@ -81,11 +89,12 @@ class Trace:
 class Board:
     """The data of a loop with ``n_joints`` joints; times are on the steady clock, s."""
 
-    def __init__(self, n_joints: int) -> None:
-        self._newest: dict[str, tuple[float, Any]] = {}
-        #: Curves: distance to the target and its parts x, y, z, mm; joint speeds, rad/s; one-step
-        #: prediction error over that of predicting rest.
-        self.error_mm = Trace(4)
+    def __init__(self, n_joints: int, kind: Kind | None = None) -> None:
+        self._kind = kind or Ball()
+        self._newest: dict[tuple[str, int], tuple[float, Any]] = {}
+        #: Curves: distance to the target and its parts x, y, z, mm or px; joint speeds, rad/s;
+        #: one-step prediction error over that of predicting rest.
+        self.error = Trace(1 + self._kind.box_size)
         self.speed_rad_s = Trace(n_joints)
         self.ratio = Trace(1)
         #: Frame and pose in it, (4, 4), m, of the camera; None while not known.
@@ -97,9 +106,9 @@ class Board:
         self.references: Mapping[str, Reference | str] = {}
         self.references_problem = ""
 
-    def note(self, name: str, now_s: float, value: Any) -> None:
-        """Store the newest value of a name."""
-        self._newest[name] = now_s, value
+    def note(self, name: str, now_s: float, value: Any, camera: int = 0) -> None:
+        """Store the newest value of a name, of one of the cameras."""
+        self._newest[name, camera] = now_s, value
 
     def add_joints(self, now_s: float, joints_rad: np.ndarray, velocity_rad_s: np.ndarray) -> None:
         """Add joint positions and velocities, kinematic order, shape (n,)."""
@@ -109,16 +118,24 @@ class Board:
     def add_status(self, now_s: float, controller: Controller) -> None:
         """Add the controller's status."""
         self.note("controller", now_s, controller)
-        if controller.target_m is not None and controller.position_m is not None:
+        if not self._kind.rigid:
+            self.error.add(now_s, controller.error_m / self._kind.unit[:1])
+        elif controller.target_m is not None and controller.position_m is not None:
             parts_m = [controller.error_m, *(controller.target_m - controller.position_m)]
-            self.error_mm.add(now_s, 1e3 * np.abs(parts_m))
-        if self.newest("feature", now_s) is not None:
+            self.error.add(now_s, 1e3 * np.abs(parts_m))
+        if self.feature(now_s) is not None:
             self.ratio.add(now_s, np.array([controller.number("prediction_error_ratio")]))
 
-    def newest(self, name: str, now_s: float) -> Any:
+    def newest(self, name: str, now_s: float, camera: int = 0) -> Any:
         """The newest value of a name; None if there is none or it is too old."""
-        since_s, value = self._newest.get(name, (-inf, None))
+        since_s, value = self._newest.get((name, camera), (-inf, None))
         return value if now_s - since_s <= _SHOWN_S.get(name, inf) else None
+
+    def feature(self, now_s: float) -> np.ndarray | None:
+        """What is servoed, (m,), if all cameras see it."""
+        cameras = range(len(self._kind.cameras))
+        parts = [self.newest("feature", now_s, camera) for camera in cameras]
+        return None if any(part is None for part in parts) else np.concatenate(parts)
 
     def parameter(self, node: str, name: str) -> Any:
         """A node's parameter; None while it is not known."""
@@ -135,6 +152,6 @@ class Board:
         known = self.newest("controller", now_s)
         if known is not None:
             return known
-        age_s = now_s - self._newest.get("controller", (-inf, None))[0]
+        age_s = now_s - self._newest.get(("controller", 0), (-inf, None))[0]
         since = f" for {age_s:.0f} s" if isfinite(age_s) else "; is fvs_controller_node running?"
         return Controller({}, f"no word from the controller{since}")

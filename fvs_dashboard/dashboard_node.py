@@ -26,8 +26,9 @@ from std_msgs.msg import String
 
 from fvs_controller_node.references import References
 from fvs_dashboard.board import REFERENCE, Action, Board, Controller
+from fvs_dashboard.clicks import detector_of, shifted
 from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
-from fvs_dashboard.picture import Picture
+from fvs_dashboard.picture import PANEL_PX, VIEW_PX, Picture
 from fvs_estimator_node.files import TrainedModel, load_model
 from fvs_ros import ros, topics
 from fvs_ros.joints import JointMap, JointStateError
@@ -63,14 +64,16 @@ class DashboardNode(ros.FvsNode):
         v, self._config = self.values, DashboardConfig.from_values(self.values)
         self._kind = self._config.kind
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
-        self._board = Board(len(self._joint_map.names))
-        self._picture = Picture()
+        self._board = Board(len(self._joint_map.names), self._kind)
+        cameras = self._kind.cameras
+        width_px = PANEL_PX if self._kind.rigid else VIEW_PX
+        self._pictures = [Picture(width_px) for _ in cameras]
         self._actions: SimpleQueue[Action] = SimpleQueue()
         # Actions trigger a callback: polling at 30 Hz took 3 % of a core.
         self._wake = self.create_guard_condition(self._act)
         self._description = ""
         self._references_read: tuple[Path, int] | None = None  # file, and when written
-        self._calls = Services(self, self._answer)
+        self._calls = Services(self, self._answer, *map(detector_of, cameras))
         self._cameras: list[ros.Sampled] = []  # while a browser shows the page
         self._board.tour = self._config.tour
         #: Where ball or tag can be, camera frame, m, shape (n, m).
@@ -91,21 +94,26 @@ class DashboardNode(ros.FvsNode):
             )
 
     def _subscribe(self) -> None:
+        kind = self._kind
         # Not latched: a controller that starts later must not move to an old target.
-        target = self._kind.topics.target
-        self._target = self.create_publisher(
-            ros.message_class(target.type), target.name, ros.QOS_EVENT
-        )
+        self._targets = [
+            self.create_publisher(ros.message_class(each.type), each.name, ros.QOS_EVENT)
+            for each in (part.topics.target for part in kind.parts)
+        ]
         self._joint_states = ros.Sampled(
             self, JointState, topics.JOINT_STATES.name, self._on_joint_states
         )
-        for topic, name in (
-            (self._kind.feature, "feature"),
-            (self._kind.topics.object, "object"),
-        ):
-            self.subscribe(topic, partial(self._on_feature, topic, name))
+        for camera, part in enumerate(kind.parts):
+            on_feature = partial(self._on_feature, part.feature, "feature", camera)
+            self.subscribe(part.feature, on_feature)
+            status = topics.of_camera(topics.DETECTOR_STATUS, kind.cameras[camera])
+            self.subscribe(status, partial(self._on_detector, camera))
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
-        self.subscribe(topics.DETECTOR_STATUS, self._on_detector)
+        if not kind.rigid:
+            return
+        self.subscribe(
+            kind.topics.object, partial(self._on_feature, kind.topics.object, "object", 0)
+        )
         self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
         self.subscribe(topics.TRUE_CAMERA_POSE, self._on_camera_pose)
         with suppress(ImportError):  # without tf2_msgs
@@ -124,16 +132,17 @@ class DashboardNode(ros.FvsNode):
             velocity = np.full_like(joints, nan)
         self._board.add_joints(self.steady_s(), joints, velocity)
 
-    def _on_feature(self, topic: topics.Topic, name: str, message: Any) -> None:
-        z = ros.from_feature(message, self._kind, self._config.feature_frame, topic.name)
-        self._board.note(name, self.steady_s(), z)
+    def _on_feature(self, topic: topics.Topic, name: str, camera: int, message: Any) -> None:
+        kind, frame = self._kind.parts[camera], self._config.feature_frame
+        z = ros.from_feature(message, kind, frame, topic.name)
+        self._board.note(name, self.steady_s(), z, camera)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         controller = Controller(ros.from_status(message), message.message)
         self._board.add_status(self.steady_s(), controller)
 
-    def _on_detector(self, message: DiagnosticStatus) -> None:
-        self._board.note("detector", self.steady_s(), message.message)
+    def _on_detector(self, camera: int, message: DiagnosticStatus) -> None:
+        self._board.note("detector", self.steady_s(), message.message, camera)
 
     def _on_description(self, message: String) -> None:
         from fvs_dashboard.scene import Arm  # viser is installed, since the page is served
@@ -168,13 +177,13 @@ class DashboardNode(ros.FvsNode):
                 stamped.pose.orientation = each.transform.rotation
                 self._on_camera_pose(stamped)
 
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, camera: int, message: Image) -> None:
         stamp_s = ros.from_stamp(message.header.stamp)
         exposed_s = self.steady_s() - max(self.ros_s() - stamp_s, 0.0)
-        self._picture.add_image(exposed_s, from_color(message))
+        self._pictures[camera].add_image(exposed_s, from_color(message))
 
     def _on_camera_info(self, message: CameraInfo) -> None:
-        self._picture.intrinsics = ros.from_camera_info(message).intrinsics
+        self._pictures[0].intrinsics = ros.from_camera_info(message).intrinsics
 
     # --- what is shown ---
 
@@ -188,33 +197,41 @@ class DashboardNode(ros.FvsNode):
         if watched != bool(self._cameras):
             self._look_at_images(watched)
         if watched:
-            self._page.update(self._board, self._picture, now_s)
+            self._page.update(self._board, self._pictures, now_s)
 
     def _look_at_images(self, wanted: bool) -> None:
         """Subscribe while a browser shows them: the simulator draws images for subscribers only."""
         while self._cameras:
             self._cameras.pop().close()
-        if wanted:
-            self._cameras = [
-                ros.Sampled(self, ros.message_class(topic.type), name, callback)
-                for topic, callback in (
-                    (topics.CAMERA_INFO, self._on_camera_info),
-                    (topics.COLOR_IMAGE, self._on_image),
-                )
-                for name in topics.camera_names(topic, self._config.camera_topics)
-            ]
+        if not wanted:
+            return
+        inputs: list[tuple[type, str, Callable[[Any], None]]] = [
+            (Image, name, partial(self._on_image, camera))
+            for camera in range(len(self._pictures))
+            for name in self._image_names(camera)
+        ]
+        if self._kind.rigid:
+            infos = topics.camera_names(topics.CAMERA_INFO, self._config.camera_topics)
+            inputs += [(CameraInfo, name, self._on_camera_info) for name in infos]
+        self._cameras = [ros.Sampled(self, *each) for each in inputs]
+
+    def _image_names(self, camera: int) -> list[str]:
+        """Possible topics of a camera's images."""
+        prefix, name = self._config.camera_topics, self._kind.cameras[camera]
+        return topics.camera_names(topics.COLOR_IMAGE, prefix, name)
 
     def _look_around(self) -> None:
         """Query what has no topic: parameters of the other nodes, and publishers of images."""
         if not self._page.watched:
             return
-        names = topics.camera_names(topics.COLOR_IMAGE, self._config.camera_topics)
-        published = [name for name in names if self.count_publishers(name)]
-        self._picture.waits_for = (
-            f"waiting for the first picture from {' or '.join(published)}"
-            if published
-            else f"no picture: no node publishes {' or '.join(names)}"
-        )
+        for camera, picture in enumerate(self._pictures):
+            names = self._image_names(camera)
+            published = [name for name in names if self.count_publishers(name)]
+            picture.waits_for = (
+                f"waiting for the first picture from {' or '.join(published)}"
+                if published
+                else f"no picture: no node publishes {' or '.join(names)}"
+            )
         for node, parameters in _ASKED.items():
             self._calls.ask(node, parameters, partial(self._board.parameters.__setitem__, node))
         path = self._board.parameter(topics.CONTROLLER, "references_path")
@@ -283,13 +300,27 @@ class DashboardNode(ros.FvsNode):
             self._calls.call(f"{topics.CONTROLLER}/{name}")
 
     def _send_target(self, target: np.ndarray) -> None:
-        kind, frame = self._kind, self._config.feature_frame
-        self._target.publish(ros.to_feature(self.ros_s(), frame, kind, target))
+        parts, frame = self._kind.parts, self._config.feature_frame
+        targets = np.split(target, len(parts))
+        for publisher, part, z in zip(self._targets, parts, targets, strict=True):
+            publisher.publish(ros.to_feature(self.ros_s(), frame, part, z))
 
     def _aim(self, numbers: Sequence[float]) -> None:
-        """Send a user's target: a position without rotation keeps that of the last one."""
+        """Send a user's target.
+
+        A position without rotation keeps that of the last target; of image points, each camera's
+        are shifted from where they are seen, so that the first is there.
+        """
         kind, now_s = self._kind, self.steady_s()
-        position_m, z = np.array(numbers[:3]), self._board.newest("feature", now_s)
+        z = self._board.feature(now_s)
+        if not kind.rigid:
+            target = shifted(z, np.array(numbers), kind)
+            if target is None:
+                self._answer("not done: some points are not seen; where they shall be is unknown")
+            else:
+                self._send_target(target)
+            return
+        position_m = np.array(numbers[:3])
         quaternion = np.roll(numbers[3:] or self._board.controller(now_s).target_wxyz, -1)
         if np.isfinite(quaternion).all():
             target = kind.of_body(position_m, Rotation.from_quat(quaternion).as_matrix())
@@ -308,7 +339,7 @@ class DashboardNode(ros.FvsNode):
         """Send the next target when it is due."""
         if self._trained is None or not self._board.tour or now_s < self._tour_due_s:
             return
-        z = self._board.newest("feature", now_s)
+        z = self._board.feature(now_s)
         controller = self._board.controller(now_s)
         ready = controller.state == "SERVOING" or controller.reason == "NO_TARGET"
         if z is not None and ready:

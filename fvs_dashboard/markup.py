@@ -50,15 +50,12 @@ def in_words(sentence: str) -> str:
     )
 
 
-def distance(error_m: float) -> str:
-    """A distance as text in mm, two decimals below 10 mm."""
-    if isnan(error_m):
-        return "–"
-    error_mm = 1e3 * error_m
-    return f"{error_mm:.2f} mm" if error_mm < 10.0 else f"{error_mm:.0f} mm"
+def distance(kind: Kind, error_m: float) -> str:
+    """A distance as text in mm, two decimals below 10 mm, or in px."""
+    return "–" if isnan(error_m) else kind.length_text(error_m, 2 if error_m < 0.01 else 0)
 
 
-def banner_html(controller: Controller) -> str:
+def banner_html(controller: Controller, kind: Kind) -> str:
     """The banner, readable from a distance: state, reason and error, with a fixed height.
 
     A refused target is shown beside its numbers instead.
@@ -71,9 +68,9 @@ def banner_html(controller: Controller) -> str:
         sentence, hint = remark.removesuffix(")"), said.partition("; ")[2]
         title = "On target" if controller.reason == "SETTLED" else title
     sentence, hint = escape(in_words(sentence)), escape(in_words(hint))
-    error, angle_rad = distance(controller.error_m), controller.number("angle_rad")
+    error, angle_rad = distance(kind, controller.error_m), controller.number("angle_rad")
     if isfinite(angle_rad):
-        error = f"{distance(controller.number('way_m'))}, {degrees(angle_rad):.2f}°"
+        error = f"{distance(kind, controller.number('way_m'))}, {degrees(angle_rad):.2f}°"
     return (
         f'<div id="fvs-banner" data-state="{escape(controller.state)}" '
         f'title="{sentence}. {hint}"><div class="fvs-head">'
@@ -116,15 +113,14 @@ def _frame(reference: Reference) -> str:
     return "object" if reference.frame == OBJECT_FRAME else "camera"
 
 
-def inputs_html(board: Board, tool: str, seen_object: str, now_s: float) -> str:
-    """Ages of the controller's inputs and what else it says, two per row; sentences alone.
-
-    ``tool`` and ``seen_object`` are their topics.
-    """
+def inputs_html(board: Board, kind: Kind, now_s: float) -> str:
+    """Ages of the controller's inputs and what else it says, two per row; sentences alone."""
     controller = board.controller(now_s)
     details = {}
-    labels = {tool: "Seen", **_INPUTS, seen_object: "Object"}
-    labels[tool] = "Seen"  # also where that is the object
+    cameras = dict(enumerate(kind.cameras))
+    seen = {kind.parts[i].feature.name: f"Seen {name}".strip() for i, name in cameras.items()}
+    # Last what is seen: also where that is the object.
+    labels = {**seen, **_INPUTS, kind.topics.object.name: "Object", **seen}
     for name, label in labels.items():
         age_s = controller.number(f"{name}_age_s")
         details[label] = "never" if not isfinite(age_s) else f"{1e3 * age_s:.0f} ms ago"
@@ -140,10 +136,11 @@ def inputs_html(board: Board, tool: str, seen_object: str, now_s: float) -> str:
     details["Active limit"] = controller.values.get("active_limit") or "none"
     if controller.silent:
         details = {}
-    if detector := board.newest("detector", now_s):
-        details["Detector"] = detector
+    for i, name in cameras.items():
+        if detector := board.newest("detector", now_s, i):
+            details[f"Detector {name}".strip()] = detector
     cells = (
-        f'<div class="{"fvs-wide" if name == "Detector" else ""}">'
+        f'<div class="{"fvs-wide" if name.startswith("Detector") else ""}">'
         f'<span class="fvs-faint">{escape(name)}</span> {escape(text)}</div>'
         for name, text in details.items()
     )

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from itertools import cycle
 from math import inf, isfinite, nan
+from typing import Any
 
 import numpy as np
 import viser
@@ -18,11 +19,14 @@ from viser import uplot
 from fvs_controller_node.config import LAWS
 from fvs_dashboard import markup, picture
 from fvs_dashboard.board import HISTORY_S, REFERENCE, Action, Board
+from fvs_dashboard.clicks import Clicks, detector_of
 from fvs_dashboard.config import VISER, DashboardConfig
 from fvs_dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
 from fvs_dashboard.scene import LEGENDS, Scene
+from fvs_dashboard.wall import Wall
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros import topics
+from fvs_ros.kinds import Kind
 
 _UNKNOWN = "the camera's pose is unknown: the arm is not drawn; calibrate (fvs_launch calibrate)"
 
@@ -65,12 +69,17 @@ class Page:
         self._panel = Panel(gui, act, config)
         curves = gui.add_panel()
         with curves.add_tab("Curves", viser.Icon.CHART_LINE):
-            self._charts = Charts(gui, joint_names)
+            self._charts = Charts(gui, joint_names, self._kind)
             self._inputs = gui.add_html("")
-            gui.add_html(markup.legend_html(LEGENDS[config.camera_mount]))
+            if self._kind.rigid:
+                gui.add_html(markup.legend_html(LEGENDS[config.camera_mount]))
             self._note = gui.add_html("")
         curves.dock_left()
         curves.set_width(400)
+        self._shown = 0
+        if not self._kind.rigid:
+            self._wall = Wall(server, len(self._kind.cameras), self._panel.clicked)
+            return
         self.scene = Scene(server, config.ball_radius_m, config.kind, self._dragged)
         # Behind the simulator's camera, so that view and picture have the same orientation; nearer
         # to one on the arm.
@@ -78,7 +87,6 @@ class Page:
         server.initial_camera.position = (1.9, -0.9, 0.8) if on_arm else (2.9, -1.05, 1.4)
         server.initial_camera.look_at = (0.3, -0.1, 0.2) if on_arm else (0.6, -0.3, 0.42)
         server.initial_camera.fov = 0.8
-        self._shown = 0
 
     def _dragged(self, action: Action) -> None:
         self._panel.forget_typed()
@@ -100,19 +108,28 @@ class Page:
         """Whether a browser shows it."""
         return bool(self._server.get_clients())
 
-    def update(self, board: Board, camera: picture.Picture, now_s: float) -> None:
-        """Show a moment, steady clock, s, in every browser."""
+    def update(self, board: Board, pictures: Sequence[picture.Picture], now_s: float) -> None:
+        """Show a moment, steady clock, s, in every browser, with the pictures of all cameras."""
         with self._server.atomic():
-            image = camera.newest(board.controller(now_s).target_m)
-            self._panel.update(board, now_s, image, camera.words(now_s))
-            self.scene.update(board, now_s)
+            self._panel.update(board, now_s, pictures)
+            if self._kind.rigid:
+                self.scene.update(board, now_s)
+            else:
+                self._show_wall(board, pictures, now_s)
             if self._shown % 4 == 0:  # the curves are long and change slowly
                 self._charts.update(board, now_s)
-                names = self._kind.feature.name, self._kind.topics.object.name
-                self._inputs.content = markup.inputs_html(board, *names, now_s)
+                self._inputs.content = markup.inputs_html(board, self._kind, now_s)
                 note = _UNKNOWN if board.camera is None else board.newest("arm", now_s) or ""
-                self._note.content = markup.note_html(note)
+                self._note.content = markup.note_html(note * self._kind.rigid)
         self._shown += 1
+
+    def _show_wall(self, board: Board, pictures: Sequence[picture.Picture], now_s: float) -> None:
+        targets_px = board.controller(now_s).target_px(self._kind)
+        for camera, each in enumerate(pictures):
+            aimed, z = self._panel.clicks.aimed.get(camera), board.newest("feature", now_s, camera)
+            crosses_px = targets_px[camera] if aimed is None else aimed[None]
+            circles_px = () if z is None else z.reshape(-1, 2)
+            self._wall.update(camera, each, each.newest(crosses_px, circles_px))
 
     def close(self) -> None:
         """Stop serving; a browser that does not answer is not waited for long."""
@@ -162,6 +179,7 @@ class Panel:
         self, gui: viser.GuiApi, act: Callable[[Action], None], config: DashboardConfig
     ) -> None:
         self._gui, self._act, self._kind = gui, act, config.kind
+        self.clicks = Clicks(self._kind)
         self._held_until_s: dict[str, float] = {}
         self._settings: dict[str, viser.GuiInputHandle] = {}
         self._labels: dict[str, str] = {}  # names of references by the words on their buttons
@@ -172,7 +190,11 @@ class Panel:
         self._beat_s, self._beats = -inf, 0
         self._banner = gui.add_html("")
         self._answer = gui.add_html("")
-        self._add_target(tour=config.tour or bool(config.model_path))
+        tour = config.tour or bool(config.model_path)
+        if self._kind.rigid:
+            self._add_target(tour)
+        else:
+            self._add_aim(tour)
         self._add_references()
         with gui.add_folder("Scheme", expand_by_default=False):
             estimator = gui.add_dropdown("Estimator", tuple(ESTIMATORS))
@@ -184,8 +206,14 @@ class Panel:
         hint = "Turns the simulated camera by chance."
         bump = self._button("Bump the camera", "bump", color="gray", hint=hint)
         self._words = gui.add_html("")
-        self._picture = gui.add_image(picture.BLANK, format="jpeg", jpeg_quality=75)
-        gui.add_html(markup.legend_html([("+", picture.TARGET_RGB, "target")]))
+        signs = [("+", picture.TARGET_RGB, "target")]
+        if self._kind.rigid:
+            self._picture = gui.add_image(
+                picture.blank(picture.PANEL_PX), format="jpeg", jpeg_quality=75
+            )
+        else:
+            signs.append(("○", picture.MEASURED_RGB, "as measured"))
+        gui.add_html(markup.legend_html(signs))
         simulator = gui.add_folder("Simulator: disturb it", expand_by_default=False)
         with simulator:
             hint = "Times the depth camera's own noise."
@@ -211,27 +239,63 @@ class Panel:
         return button
 
     def _add_target(self, tour: bool) -> None:
-        gui = self._gui
         of_what = " of the object" * self._kind.on_arm
-        with gui.add_folder(f"Target{of_what} in the camera's frame"):
-            self._target = gui.add_vector3("x, y, z (m)", (0.0, 0.0, 0.0), step=0.001)
-            gui.add_html(markup.ROW)
-            go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW)
-            self._button("Set current as target", "set_current_as_target", color="gray")
-            self._refusal = gui.add_html("")
-            hint = "Send it to one after another."
-            self._sets("tour", gui.add_checkbox("Tour", False, visible=tour, hint=hint))
+        with self._gui.add_folder(f"Target{of_what} in the camera's frame"):
+            start = (0.0, 0.0, 0.0)
+            self._add_go([self._gui.add_vector3("x, y, z (m)", start, step=0.001)], tour)
 
-        @self._target.on_update
-        async def _(event: viser.GuiEvent) -> None:
+    def _add_aim(self, tour: bool) -> None:
+        """The target in each camera's picture, and what a click there does."""
+        gui, several = self._gui, self._kind.numbers > 2 * len(self._kind.cameras)
+        with gui.add_folder("Target" + " of the first point" * several):
+            hint = "Sets the target, or what the detector follows: any patch, as it looks now."
+            words = "sets the target", "track this"
+            self._click = gui.add_dropdown("A click", words, hint=hint)
+            self._next = gui.add_html("")
+            hint = "The detectors look for ball or tags again."
+            undo = gui.add_button("Track nothing", color="gray", hint=hint)
+            fields = [
+                gui.add_vector2(f"{name} u, v (px)".strip(), (0.0, 0.0), step=0.1)
+                for name in self._kind.cameras
+            ]
+            self._add_go(fields, tour)
+
+        @undo.on_click
+        async def _(_event: viser.GuiEvent) -> None:
+            self.clicks.forget()
+            for name in self._kind.cameras:
+                self._act(Action(f"{detector_of(name)}/track_px", ()))
+
+    def _add_go(self, fields: list[Any], tour: bool) -> None:
+        gui, self._fields = self._gui, fields
+        gui.add_html(markup.ROW)
+        go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW)
+        self._button("Set current as target", "set_current_as_target", color="gray")
+        self._refusal = gui.add_html("")
+        hint = "Send it to one after another."
+        self._sets("tour", gui.add_checkbox("Tour", False, visible=tour, hint=hint))
+
+        async def hold(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 self._hold("target", _TYPED_S)
 
+        for field in fields:
+            field.on_update(hold)
+
         @go.on_click
         async def _(_event: viser.GuiEvent) -> None:
-            x, y, z = (float(value) for value in self._target.value)
+            self.clicks.forget()
             self._hold("target", _SET_S)  # until the controller has taken it
-            self._act(Action("target", (x, y, z)))
+            numbers = (float(value) for field in fields for value in field.value)
+            self._act(Action("target", tuple(numbers)))
+
+    def clicked(self, camera: int, at_px: np.ndarray) -> None:
+        """Take a click in a camera's picture."""
+        self.forget_typed()
+        aims = self._click.value == self._click.options[0]
+        action = (self.clicks.aim if aims else self.clicks.mark)(camera, at_px)
+        if action is not None:
+            self._act(action)
 
     def _add_references(self) -> None:
         gui = self._gui
@@ -270,21 +334,33 @@ class Panel:
                 self._hold(name, _SET_S)
                 self._act(Action(name, handle.value))
 
-    def update(self, board: Board, now_s: float, image: np.ndarray | None, words: str) -> None:
-        """Show a moment, with a new picture if there is one, and words about the picture."""
+    def update(self, board: Board, now_s: float, pictures: Sequence[picture.Picture]) -> None:
+        """Show a moment, and how old the pictures are."""
         if now_s - self._beat_s > 0.2 * markup.LOST_S:  # a heartbeat to the browser
             self._beat_s, self._beats = now_s, self._beats + 1
             self._alive.content = markup.alive_html(self._beats)
         controller = board.controller(now_s)
-        self._banner.content = markup.banner_html(controller)
+        self._banner.content = markup.banner_html(controller, self._kind)
         self._answer.content = markup.line_html("answer", board.newest("answer", now_s) or "")
         refusal = controller.values.get("refused_target", "")
         self._refusal.content = markup.line_html("refusal", refusal)
-        if image is not None:
-            self._picture.image = image
-        self._words.content = markup.line_html("picture", words)
-        if controller.target_m is not None and self._free("target"):
-            self._target.value = tuple(np.round(controller.target_m, 3).tolist())
+        words = zip(self._kind.cameras, (each.words(now_s) for each in pictures), strict=True)
+        text = "; ".join(f"{name}: " * bool(name) + each for name, each in words if each)
+        self._words.content = markup.line_html("picture", text)
+        if self._kind.rigid:
+            image = pictures[0].newest(pictures[0].pixels(controller.target_m))
+            if image is not None:
+                self._picture.image = image
+            shown = [] if controller.target_m is None else [np.round(controller.target_m, 3)]
+        else:
+            self._next.content = markup.line_html("next", self.clicks.words)
+            first_px, z = controller.target_px(self._kind)[:, 0], board.feature(now_s)
+            if z is not None and np.isnan(first_px).any():  # no target yet
+                first_px = z.reshape(len(first_px), -1, 2)[:, 0]
+            shown = list(np.round(first_px, 1))
+        if np.isfinite(shown).all() and self._free("target"):
+            for field, numbers in zip(self._fields, shown, strict=False):
+                field.value = tuple(numbers.tolist())
         self._show_references(board)
         for element in self._simulated:
             element.visible = bool(board.parameters.get(topics.SIM))
@@ -337,7 +413,7 @@ def _logarithmic(least: float, most: float) -> dict:
 class Charts:
     """Error, joint speeds and prediction error over the last seconds."""
 
-    def __init__(self, gui: viser.GuiApi, joint_names: Sequence[str]) -> None:
+    def __init__(self, gui: viser.GuiApi, joint_names: Sequence[str], kind: Kind) -> None:
         self._gui = gui
         self._limit_rad_s = nan
         self._nudge_s = 0.0
@@ -346,10 +422,13 @@ class Charts:
             for name in joint_names
         )
         self._error = self._add(
-            "Distance to the target, mm",
+            f"Distance to the target, {'mm' if kind.rigid else 'px'}",
             _logarithmic(0.01, 1000.0),
             _series("distance", "#F2F4F7", 2.25),
-            *(_series(f"|{axis}|", markup.COLOURS[i], 1.0) for i, axis in enumerate("xyz")),
+            *(
+                _series(f"|{axis}|", markup.COLOURS[i], 1.0)
+                for i, axis in enumerate("xyz"[: kind.box_size])
+            ),
         )
         self._speed = self._add(
             "Joint speeds and their limit, rad/s",
@@ -392,7 +471,7 @@ class Charts:
             self._limit_rad_s = limit_rad_s  # a new scale rebuilds the chart
             scale = {"range": (0.0, 1.2 * limit_rad_s)}
             self._speed.scales = {**self._speed.scales, "y": scale}
-        self._draw(self._error, board.error_mm.window(now_s))
+        self._draw(self._error, board.error.window(now_s))
         self._draw(self._speed, board.speed_rad_s.window(now_s), limit_rad_s)
         self._draw(self._ratio, board.ratio.window(now_s), 1.0)
 

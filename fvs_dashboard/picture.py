@@ -1,7 +1,8 @@
-"""The camera's picture, small, with the target drawn in."""
+"""A camera's picture, small, with target and image points drawn in."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf
 
 import cv2
@@ -9,25 +10,35 @@ import numpy as np
 
 from fvs_ros.camera import Intrinsics
 
-TARGET_RGB = (86, 180, 233)
-#: Before the first image; others are shown in its width.
-BLANK = np.full((240, 320, 3), 90, np.uint8)
+TARGET_RGB, MEASURED_RGB = (86, 180, 233), (60, 230, 60)
+#: Widths of a picture in the panel, and in the place of the view.
+PANEL_PX, VIEW_PX = 320, 640
+
+
+def blank(width: int) -> np.ndarray:
+    """What is shown before the first image."""
+    return np.full((3 * width // 4, width, 3), 90, np.uint8)
 
 
 class Picture:
-    """The newest image as it is shown."""
+    """The newest image as it is shown: at most ``width`` pixels wide."""
 
-    def __init__(self) -> None:
-        #: Of the images; without, nothing is drawn into them.
+    def __init__(self, width: int = PANEL_PX) -> None:
+        self._width = width
+        #: Width and height of the images, px; 0 before the first.
+        self.size_px = np.zeros(2)
+        #: Of the images; without, no target in the camera's frame is drawn into them.
         self.intrinsics: Intrinsics | None = None
         #: Reason why there is no picture yet, in words.
         self.waits_for = ""
-        self._new: tuple[float, np.ndarray] | None = None
+        self._image: np.ndarray | None = None
         self._exposed_s = inf
+        self._shown: tuple[float, np.ndarray] = inf, np.zeros((0, 2))
 
     def add_image(self, exposed_s: float, image_rgb: np.ndarray) -> None:
         """Add a camera image, uint8, shape (height, width, 3), exposed then (steady clock)."""
-        self._new = exposed_s, image_rgb
+        self._exposed_s, self._image = exposed_s, image_rgb
+        self.size_px = np.array(image_rgb.shape[1::-1])
 
     def words(self, now_s: float) -> str:
         """The age of an old picture, or why there is none; empty for a new one."""
@@ -36,23 +47,34 @@ class Picture:
         age_s = now_s - self._exposed_s
         return f"the picture is {age_s:.0f} s old" if age_s > 2.0 else ""
 
-    def newest(self, target_m: np.ndarray | None) -> np.ndarray | None:
-        """The picture, uint8, shape (height, width, 3), if it changed since the last call.
-
-        A cross marks the target, camera frame, m.
-        """
-        new, self._new = self._new, None
-        if new is None:
-            return None
-        self._exposed_s, image = new
-        scale = max(1.0, image.shape[1] / BLANK.shape[1])
-        camera = self.intrinsics
+    def pixels(self, target_m: np.ndarray | None) -> np.ndarray:
+        """Where a target, camera frame, m, is in the image, px, (1, 2) or, unknown, (0, 2)."""
         # A point behind the camera, or at its plane, has no pixel.
-        if camera is not None and target_m is not None and target_m[2] > 0.05:
-            at = np.round(camera.project(target_m)).astype(int)
-            if np.abs(at).max() < 2 * camera.width:
-                image, size = image.copy(), round(14 * scale)
-                look = round(scale), cv2.LINE_AA
-                cv2.drawMarker(image, at.tolist(), TARGET_RGB, cv2.MARKER_CROSS, size, *look)
+        if self.intrinsics is None or target_m is None or target_m[2] <= 0.05:
+            return np.zeros((0, 2))
+        return self.intrinsics.project(target_m[None])
+
+    def newest(self, targets_px: np.ndarray, measured_px: Sequence = ()) -> np.ndarray | None:
+        """The picture, uint8, shape (height, width, 3), if it or a target changed since last.
+
+        Crosses mark targets, (k, 2), and circles what is measured.
+        """
+        exposed_s, shown_px = self._shown
+        same = exposed_s == self._exposed_s and np.array_equal(shown_px, targets_px, equal_nan=True)
+        if self._image is None or same:
+            return None
+        self._shown = self._exposed_s, targets_px
+        image = self._image.copy()
+        scale = max(1.0, image.shape[1] / self._width)
+        look = round(scale), cv2.LINE_AA
+        for points_px, rgb in ((targets_px, TARGET_RGB), (measured_px, MEASURED_RGB)):
+            for point in points_px:
+                if np.abs(point).max() < 2 * image.shape[1]:  # false for NaN, too
+                    at = np.round(point).astype(int).tolist()
+                    if rgb is TARGET_RGB:
+                        size = round(14 * scale)
+                        cv2.drawMarker(image, at, rgb, cv2.MARKER_CROSS, size, *look)
+                    else:
+                        cv2.circle(image, at, round(5 * scale), rgb, *look)
         size_px = (round(image.shape[1] / scale), round(image.shape[0] / scale))
         return cv2.resize(image, size_px, interpolation=cv2.INTER_AREA)

@@ -116,6 +116,18 @@ class PageClient:
             )
         self._send(type="TransformControlsDragEndMessage", name=node, owner="")
 
+    def click(self, node: str, origin: Any, ray: Any) -> None:
+        """Click where a ray meets what the scene has under a name."""
+        self._send(
+            type="SceneNodeClickMessage",
+            name=node,
+            instance_index=None,
+            ray_origin=tuple(map(float, origin)),
+            ray_direction=tuple(map(float, ray)),
+            screen_pos=(0.5, 0.5),
+            modifier=None,
+        )
+
     def close(self, timeout_s: float = 5.0) -> None:
         """Close the browser's window."""
         end_s = time.monotonic() + timeout_s

@@ -20,7 +20,7 @@ from fvs_ros.params import ParameterError, parameter
 from fvs_ros.topics import (
     COLLECTOR,
     CONTROLLER,
-    DEMO,
+    DASHBOARD,
     ESTIMATOR,
     SIM,
     KindTopics,
@@ -60,8 +60,7 @@ class Points(Kind):
     box_size, rigid = 0, False
     models = ("models/ur5_webcams.npz", "")
     topics = _TOPICS._replace(
-        tool=replace(_TOPICS.tool, subscribers=(SIM, ESTIMATOR, CONTROLLER, COLLECTOR)),
-        target=replace(_TOPICS.target, publishers=(DEMO,)),
+        tool=replace(_TOPICS.tool, subscribers=(SIM, ESTIMATOR, CONTROLLER, COLLECTOR, DASHBOARD)),
         object=replace(_TOPICS.object, publishers=(), subscribers=(CONTROLLER,)),
         object_truth=replace(_TOPICS.object_truth, publishers=(), subscribers=()),
     )

@@ -5,11 +5,12 @@ import os
 import re
 import shutil
 import signal
+import time
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PolygonStamped
 from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import CameraInfo, Image, JointState
 
@@ -22,6 +23,7 @@ from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME, Intrinsics
 from fvs_ros.joints import JointMap
 from fvs_ros.kinds.ball import Ball
+from fvs_ros.kinds.points import Points
 from fvs_sim_node.robot import HOME_JOINTS_RAD
 
 DASHBOARD = "fvs_dashboard.dashboard_node"
@@ -269,6 +271,61 @@ def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros
     page.press("Reset")
     wait(lambda: disturbances() == (2.5, False, beside) and away_rad() < 1e-3, "all as it began")
     wait_for_state(ros_test, page, "READY")
+
+
+def test_the_ball_before_a_webcam_goes_where_its_picture_is_clicked(ros_test, pages):
+    slow = {"joint_state_rate_hz": 50, "image_rate_hz": 15.0, "full_frame_rate_hz": 1.0}
+    webcam = {"feature": "points", "cameras": "[front]", "tour": "false"}
+    parameters = {"port": 0, **webcam, **slow, **PATIENT}
+    arguments = (word for item in parameters.items() for word in ("-p", "{}:={}".format(*item)))
+    page = pages(
+        address_of(ros_test, ros_test.start("fvs_tools.launcher", "dashboard", *arguments))
+    )
+    kind = Points(cameras=("front",))
+    seen = ros_test.collect(PolygonStamped, kind.topics.tool.name)
+    targets = ros_test.collect(PolygonStamped, kind.topics.target.name, ros.QOS_RELIABLE)
+    ros_test.spin_until(lambda: seen and states(page) == "WAITING", 30.0, "the ball", page.text)
+    wanted = kind.read(seen[-1]) + [-40.0, 20.0]
+    u, v = (wanted + 0.5) / [640.0, 480.0] - 0.5
+
+    def clicked():  # before the first picture, it means nothing
+        x, _, z = page.positions["/picture/0"]
+        page.click("/picture/0", (x + u, -1.0, z - 0.75 * v), (0.0, 1.0, 0.0))
+        return targets
+
+    ros_test.spin_until(clicked, 30.0, "a target", page.text)
+    np.testing.assert_allclose(kind.read(targets[0]), wanted, atol=0.01)
+
+    def there():
+        return np.abs(kind.read(seen[-1]) - wanted).max() < 1.0
+
+    ros_test.spin_until(there, 30.0, "the ball there", page.text)
+
+
+def test_what_is_clicked_on_is_tracked_by_the_detector_of_that_camera(ros_test, pages):
+    rng = np.random.default_rng(7)
+    spots = np.kron(rng.integers(0, 256, (60, 80, 1)), np.ones((4, 4, 3))).astype(np.uint8)
+    image = topics.of_camera(topics.COLOR_IMAGE, "left")
+    images = ros_test.node.create_publisher(Image, image.name, ros.QOS_RELIABLE)
+    ros_test.node.create_timer(
+        0.1, lambda: images.publish(ros.to_image(time.time(), "eye", spots, "rgb8"))
+    )
+    parameters = {"feature": "points", "cameras": "[left]", "port": 0}
+    page = pages(address_of(ros_test, ros_test.start_node(DASHBOARD, **parameters)))
+    ros_test.start_node("fvs_detector_node.node", {"__ns": "/left"}, feature="points")
+    seen = ros_test.collect(PolygonStamped, "left/image_points")
+    lost = "nothing in view has the ball&#x27;s colour"
+    ros_test.spin_until(lambda: lost in page.text(), 30.0, "a detector", page.text)
+    page.set("A click", "track this")
+
+    def clicked():
+        page.click("/picture/0", (0.0, -1.0, page.positions["/picture/0"][2]), (0.0, 1.0, 0.0))
+        return seen
+
+    ros_test.spin_until(clicked, 30.0, "a point", page.text)
+    np.testing.assert_allclose(Points().read(seen[-1]), [159.5, 119.5], atol=0.2)
+    page.press("Track nothing")
+    ros_test.spin_until(lambda: lost in page.text(), 15.0, "the ball's absence", page.text)
 
 
 # ---- in a real browser ------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from fvs_dashboard.page import Page
 from fvs_dashboard.picture import Picture
 from fvs_dashboard.scene import Arm
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.kinds.points import Points
 from fvs_ros.kinds.pose import Pose
 from fvs_sim_node.robot import ROBOTS, robot_description
 
@@ -98,7 +99,7 @@ def test_a_camera_on_the_arm_is_dragged_to_where_it_shall_see_the_object():
         target |= {"target_qw": 0.0, "target_qx": 1.0, "target_qy": 0.0, "target_qz": 0.0}
         status = {name: str(number) for name, number in target.items()}
         board.add_status(0.0, Controller(status, ""))
-        page.update(board, Picture(), 0.0)
+        page.update(board, [Picture()], 0.0)
         soon(lambda: drawn("/object", [1.5, 0.1, 0.4]))
         # It goes on by 0.2 m, 0.1 m to its right, which is y, and 0.2 m up.
         soon(lambda: drawn("/target", [1.8, 0.1, 0.6]))
@@ -108,6 +109,45 @@ def test_a_camera_on_the_arm_is_dragged_to_where_it_shall_see_the_object():
         position_m, wxyz = np.split(np.array(actions[0].value), [3])
         np.testing.assert_allclose(position_m, [0.0, 0.0, 0.3], atol=1e-9)
         np.testing.assert_allclose(np.abs(wxyz), 0.5, atol=1e-9)  # as the object is in the room
+    finally:
+        client.close()
+        page.close()
+
+
+# --- cameras of which nothing is known ---
+
+
+def test_a_click_in_a_picture_is_a_target_there_and_of_another_size_too():
+    actions = []
+    values = config.DashboardConfig(
+        port=0, feature="points", points=Points(cameras=("left", "right"))
+    )
+    page = Page(values, UR_JOINT_NAMES, actions.append)
+    client = PageClient(page.address)
+    try:
+        pictures = [Picture(), Picture()]
+
+        def click(camera, x, z):
+            position = np.array(client.positions[f"/picture/{camera}"]) + [x, -2.0, z]
+            client.click(f"/picture/{camera}", position - [0.5, 0.0, 0.0], (0.25, 1.0, 0.0))
+
+        click(0, 0.0, 0.0)  # no picture, so it means nothing
+        pictures[0].add_image(0.0, np.zeros((480, 640, 3), np.uint8))
+        pictures[1].add_image(0.0, np.zeros((1080, 1920, 3), np.uint8))
+        page.update(Board(6, values.kind), pictures, 0.0)
+        soon(lambda: np.isclose(client.positions["/picture/1"][2], -0.79 - 0.5 * 0.5625))
+        click(0, 0.25, 0.125)
+        soon(lambda: "where it shall be in right" in page._panel.clicks.words)
+        click(1, 0.0, 0.0)
+        soon(lambda: actions)
+        assert actions[0].name == "target"
+        np.testing.assert_allclose(actions[0].value, [479.5, 159.5, 959.5, 539.5], atol=1e-6)
+        client.set("A click", "track this")
+        soon(lambda: page._panel._click.value == "track this")
+        click(1, 0.5, 0.28125)
+        soon(lambda: actions[1:])
+        assert actions[1].name == "right/fvs_detector_node/track_px"
+        np.testing.assert_allclose(actions[1].value, [1919.0, 0.0], atol=1e-6)
     finally:
         client.close()
         page.close()
