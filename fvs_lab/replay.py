@@ -1,4 +1,7 @@
-"""``fvs_experiments replay BAG``: how each target of a recording went, without ROS."""
+"""``fvs_experiments replay BAG``: how each target of a recording went, without ROS.
+
+Not of webcams with names.
+"""
 
 from __future__ import annotations
 
@@ -48,8 +51,7 @@ def read(path: Path, namespace: str = "") -> tuple[list[TargetRecord], Sequence[
         if not kinds:
             targets = " or ".join(prefix + kind.topics.target.name for kind in KINDS.values())
             raise BagError(
-                f"it has no {targets} (--namespace names the nodes'; of named webcams there is no "
-                "replay); it has "
+                f"it has no {targets} (--namespace names the nodes'); it has "
                 f"{', '.join(held)[:600] or 'no messages'}"
             )
         kind, rows = kinds[0], defaultdict[topics.Topic, _Rows](list)
