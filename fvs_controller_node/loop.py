@@ -405,13 +405,12 @@ class ServoLoop:
         if self._drift_m_s is None or not self._drift_m_s.any():
             drift_m = self._drift_m_s = None
         z = self._now(now_s, drift_m)
-        seeing = len(self.eyes) - len(self._blind)
         return Present(
             joints_rad=self._joints,
             z=z,
             jacobian=self._counted,
             pending_rad=self._drive_lag.pending_rad,
-            freedom=min(self.kind.freedom, seeing * self.kind.parts[0].size),
+            freedom=min(self.kind.freedom, len(self._seeing) * self.kind.parts[0].size),
             drift_m_s=self._drift_m_s,
             problem="" if z is not None else max(eye.track.problem for eye in self.eyes),
             verdict=self._verdict,
@@ -429,10 +428,14 @@ class ServoLoop:
         return counted
 
     @property
+    def _seeing(self) -> list[Eye]:
+        """The cameras that are not lost."""
+        return [eye for i, eye in enumerate(self.eyes) if i not in self._blind]
+
+    @property
     def _verdict(self) -> Verdict | None:
         """The worst of the cameras that see; None while too little moved."""
-        eyes = [eye for i, eye in enumerate(self.eyes) if i not in self._blind]
-        verdicts = [eye.agreement.verdict for eye in eyes if eye.agreement.verdict is not None]
+        verdicts = [each for each in (eye.agreement.verdict for eye in self._seeing) if each]
         follows = [(each.seen_share >= LEAST_SEEN, -each.error_ratio, each) for each in verdicts]
         return min(follows)[-1] if follows else None
 
@@ -466,7 +469,7 @@ class ServoLoop:
             output = checked(self._propose(present, last, dt_s), len(last), self.kind.size)
         except Exception as error:  # whatever a law does wrong
             finding = Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}")
-        doubted = any(eye.track.filter.outliers for eye in self.eyes)
+        doubted = any(eye.track.filter.outliers for eye in self._seeing)
         if output is not None and doubted:  # no joint speeds up or turns back
             wanted = np.clip(output.velocity_rad_s, np.minimum(last, 0.0), np.maximum(last, 0.0))
             output = output._replace(velocity_rad_s=wanted)
