@@ -10,28 +10,13 @@ from fvs_ros.track import Track
 
 
 class Eye:
-    """One camera.
-
-    Parameters
-    ----------
-    kind : Kind
-        What it measures, m numbers that move in d ways.
-
-    Attributes
-    ----------
-    track : ~fvs_ros.track.Track
-        Follows the feature, and predicts it to now.
-    agreement : Agreement
-        Whether it follows the arm.
-    last_second : LastSecond
-        For teaching.
-    image_s : float or None
-        Stamp of its newest image.
-    """
+    """One camera, which measures a kind: m numbers that move in d ways."""
 
     def __init__(self, kind: Kind) -> None:
-        self.track, self.agreement, self.last_second = Track(kind), Agreement(), LastSecond(kind)
-        self.image_s: float | None = None
+        self.track = Track(kind)
+        self.agreement = Agreement()  #: of the feature with the arm's motion
+        self.last_second = LastSecond(kind)  #: for teaching
+        self.image_s: float | None = None  #: stamp of its newest image
         self._unjudged: list[Image] = []
 
     def restart(self) -> None:

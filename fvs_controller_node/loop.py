@@ -41,26 +41,8 @@ _PUT_AGAIN_S = 2.0
 class ServoLoop:
     """One pass per tick: joints, feature and Jacobian in; one command out.
 
-    Parameters
-    ----------
-    values : mapping, optional
-        The node's parameters by name, all of them; the defaults if not given.
-
-    Raises
-    ------
-    ValueError
-        If values do not fit together; the text says which.
-
-    Attributes
-    ----------
-    law : ControlLaw
-        The control law.
-    eyes : list of ~fvs_controller_node.eye.Eye
-        What each camera shows.
-    supervisor : Supervisor
-        The one exit.
-    sliding_variable : ndarray, shape (d,), or None
-        That of the law, m, at the first tick after an image; else None.
+    ``values`` are all of the node's parameters by name, by default the defaults. A ``ValueError``
+    says which do not fit together.
     """
 
     law: ControlLaw
@@ -69,7 +51,7 @@ class ServoLoop:
         values = default_values() if values is None else values
         self.supervisor = Supervisor(SupervisorConfig.from_values(values))
         self.kind = self.supervisor.config.kind
-        self.eyes = [Eye(part) for part in self.kind.parts]
+        self.eyes = [Eye(part) for part in self.kind.parts]  #: what each camera shows
         self._blind: tuple[int, ...] = ()  # cameras that are lost while another sees
         self._drive_lag, self._following = DriveLag(), Following()
         self._backlash, self._play_rad = Backlash(), np.zeros(1)
@@ -89,6 +71,7 @@ class ServoLoop:
         self._stood: tuple[np.ndarray, np.ndarray | None] = np.zeros(0), None
         self._change = Change.TARGET  # since the last call of the law
         self._new_image = False  # likewise
+        #: That of the law, m, (d,), at the first tick after an image; else None.
         self.sliding_variable: np.ndarray | None = None
         self._joints: np.ndarray | None = None
         self._jacobian: np.ndarray | None = None

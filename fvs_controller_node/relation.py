@@ -54,26 +54,13 @@ class Lens:
 class Relation:
     """Finds the target from the newest image of the object.
 
-    Parameters
-    ----------
-    kind : Kind
-        Of tool and object, m numbers.
-    goal : Goal
-        Knows where the target is expected.
-    lens : Lens
-        Of the camera.
-
-    Attributes
-    ----------
-    wanted : ndarray, shape (m,), or None
-        The target in the object's frame; None for an absolute one.
-    moved_m : float
-        How far the object was from its last place when it was seen again, m; 0 if it stood still.
+    ``kind`` is that of tool and object, m numbers; ``goal`` knows where the target is expected.
     """
 
     def __init__(self, kind: Kind, goal: Goal, lens: Lens) -> None:
         self._kind, self._goal, self._lens = kind, goal, lens
-        self.wanted: np.ndarray | None = None
+        self.wanted: np.ndarray | None = None  #: the target from the object, (m,), if relative
+        #: How far the object was from its last place when it was seen again, m.
         self.moved_m = 0.0
         self._object: np.ndarray | None = None  # as seen last
         self._hidden = False  # before the images that do not count yet

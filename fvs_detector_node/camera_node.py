@@ -35,15 +35,7 @@ class _Picture(NamedTuple):
 
 
 class CameraWatch:
-    """Publishes what is found in the images of a camera.
-
-    Parameters
-    ----------
-    node : FvsNode
-        Subscribes and publishes.
-    config : DetectorConfig
-        For this camera alone.
-    """
+    """Publishes what is found in the images of a camera; ``config`` is for this one alone."""
 
     def __init__(self, node: ros.FvsNode, config: DetectorConfig) -> None:
         self._node, self._config, self._kind = node, config, config.kind

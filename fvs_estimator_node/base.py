@@ -20,49 +20,23 @@ NETWORKS, CHAIN = "model", "chain"
 
 @dataclass(frozen=True)
 class MotionStep:
-    """Motion of the feature and of the n joints between the same two exposures.
+    """Motion of the feature and of the n joints between the same two exposures."""
 
-    Parameters
-    ----------
-    stamp_s : float
-        Exposure time of the second image, s.
-    dt_s : float
-        Time between the two exposures, s, positive.
-    joints_rad : ndarray, shape (n,)
-        Joint positions at the middle of the step, rad, where its Jacobian applies.
-    d_joints_rad : ndarray, shape (n,)
-        Joint motion, rad.
-    d_feature_m : ndarray, shape (d,)
-        Motion of the feature in the camera frame, m.
-    sliding_variable : ndarray, shape (d,), or 0
-        The controller's newest sliding variable s; 0 without a controller.
-    z : ndarray, shape (m,), optional
-        The feature at the end of the step; not needed of a kind that is flat.
-    """
-
-    stamp_s: float
-    dt_s: float
-    joints_rad: np.ndarray
-    d_joints_rad: np.ndarray
-    d_feature_m: np.ndarray
+    stamp_s: float  #: exposure of the second image, s
+    dt_s: float  #: time between the two exposures, s, positive
+    joints_rad: np.ndarray  #: joints at the middle of the step, where its Jacobian is, rad, (n,)
+    d_joints_rad: np.ndarray  #: joint motion, rad, (n,)
+    d_feature_m: np.ndarray  #: motion of the feature in the camera frame, m, (d,)
+    #: The controller's newest sliding variable s, m, (d,); 0 without a controller.
     sliding_variable: np.ndarray | float = 0.0
-    z: np.ndarray | None = None
+    z: np.ndarray | None = None  #: the feature at the end, (m,); not needed of a kind that is flat
 
 
 class Estimator(ABC):
     """Estimates the d x n Jacobian of the feature with respect to the joints.
 
-    It takes steps and answers with Jacobians; it knows neither topics nor clocks.
-
-    Parameters
-    ----------
-    kind : Kind, optional
-        The kind of feature: m numbers that move in d ways; a ball by default.
-
-    Attributes
-    ----------
-    updates, refused : int
-        How many inputs it learned from, and how many it could not use.
+    It takes steps and answers with Jacobians; it knows neither topics nor clocks. ``kind`` is the
+    kind of feature: m numbers that move in d ways; a ball by default.
     """
 
     #: Whether :meth:`update` and :meth:`observe` can change anything.
@@ -75,7 +49,9 @@ class Estimator(ABC):
 
     def __init__(self, kind: Kind | None = None) -> None:
         self.kind = kind or Ball()
+        #: How many inputs it learned from, and how many it could not use.
         self.updates = self.refused = 0
+        self.each: tuple[Estimator, ...] = (self,)  #: those of each camera
 
     @classmethod
     def needs(cls, config: Any) -> str:
@@ -86,11 +62,6 @@ class Estimator(ABC):
     def problem(self) -> str:
         """Why there is no estimate yet; empty if there is one."""
         return ""
-
-    @property
-    def each(self) -> tuple[Estimator, ...]:
-        """The estimators of each camera."""
-        return (self,)
 
     @property
     def chain(self) -> AnyChain | None:
@@ -129,35 +100,30 @@ class Estimators(Estimator):
 
     def __init__(self, each: tuple[Estimator, ...], kind: Kind) -> None:
         super().__init__(kind)
-        self._each, self.learns = each, each[0].learns
-
-    @property
-    def each(self) -> tuple[Estimator, ...]:
-        """The estimators of each camera."""
-        return self._each
+        self.each, self.learns = each, each[0].learns
 
     @property
     def problem(self) -> str:
         """Why one of them has no estimate yet; empty if all have."""
-        return max(estimator.problem for estimator in self._each)
+        return max(estimator.problem for estimator in self.each)
 
     @property
     def chain(self) -> AnyChain | None:
         """Their chains; None from those that have none."""
-        chains = [estimator.chain for estimator in self._each]
+        chains = [estimator.chain for estimator in self.each]
         before_webcams = tuple(chain for chain in chains if isinstance(chain, PixelChain))
         return PixelChains(before_webcams) if before_webcams else None
 
     def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
         """Estimate at joints, rad, (n,): m/rad, shape (d, n)."""
-        return np.concatenate([estimator.jacobian(joints_rad) for estimator in self._each])
+        return np.concatenate([estimator.jacobian(joints_rad) for estimator in self.each])
 
     def reset(self) -> None:
         """Forget what was learned online."""
-        for estimator in self._each:
+        for estimator in self.each:
             estimator.reset()
 
     def status_values(self) -> dict[str, float]:
         """Key numbers of all, summed."""
-        values = [estimator.status_values() for estimator in self._each]
+        values = [estimator.status_values() for estimator in self.each]
         return {name: sum(of[name] for of in values) for name in values[0]}

@@ -53,9 +53,9 @@ class FileError(ValueError):
 class _OfFeature:
     """What was measured: the name of a kind of feature, its frame, by which cameras, and where."""
 
-    feature: str = KindConfig.feature
+    feature: str = KindConfig.feature  #: its kind
     camera_mount: str = KindConfig.camera_mount
-    feature_frame: str = CAMERA_FRAME
+    feature_frame: str = CAMERA_FRAME  #: that of the measurements
     cameras: tuple[str, ...] = (UNNAMED,)
     #: The field with measurements, (k, m).
     _measured: ClassVar[str] = "z_samples"
@@ -103,43 +103,20 @@ def _words(kind: Kind) -> str:
 class DataSet(_OfFeature):
     """k measurements and the joints at their exposures.
 
-    Parameters
-    ----------
-    stamps_s : ndarray, shape (k,)
-        Exposure times, s; rising within a segment.
-    joints_rad : ndarray, shape (k, n)
-        Joint positions at exposure, rad.
-    z : ndarray, shape (k, m)
-        Measurements of the kind, such as ball positions, m; each of one camera.
-    segment : ndarray of int, shape (k,)
-        Number of the continuous run a sample belongs to; never falls.
-    joint_names : tuple of str, optional
-        Names of the columns of ``joints_rad``; by default ``joint_1``, ``joint_2``, ...
-    feature_frame : str
-        Frame of the measurements.
-    provenance : dict
-        Where it comes from; anything that JSON can hold.
-    still : bool
-        Whether the arm stood still at every image: still poses.
-    camera : ndarray of int, shape (k,), or 0
-        Which of the ``cameras`` a sample is of; never falls.
-    feature : str
-        The kind of what was measured.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, something is not finite, or stamps, segments or cameras go back.
+    A ``ValueError`` says that shapes do not fit, something is not finite, or stamps, segments or
+    cameras go back.
     """
 
-    stamps_s: np.ndarray
-    joints_rad: np.ndarray
+    stamps_s: np.ndarray  #: exposure times, s, (k,); rising within a segment
+    joints_rad: np.ndarray  #: joint positions at exposure, rad, (k, n)
+    #: Measurements of the kind, such as ball positions, m, (k, m); each of one camera.
     z: np.ndarray
-    segment: np.ndarray
-    joint_names: tuple[str, ...] = ()
+    segment: np.ndarray  #: number of the continuous run a sample belongs to, (k,); never falls
+    joint_names: tuple[str, ...] = ()  #: of the columns; by default ``joint_1``, ``joint_2``, ...
+    #: Where it comes from; anything that JSON can hold.
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    still: bool = False
-    camera: np.ndarray | int = 0
+    still: bool = False  #: whether the arm stood still at every image: still poses
+    camera: np.ndarray | int = 0  #: which of ``cameras`` a sample is of, (k,); never falls
     _measured: ClassVar[str] = "z"
 
     def __post_init__(self) -> None:
@@ -201,41 +178,17 @@ def data_set_of(*of_camera: Sequence[Sample], **particulars: Any) -> DataSet:
 
 @dataclass(frozen=True)
 class TrainedModel(_OfFeature):
-    """The networks, with the data needed to use them.
-
-    Parameters
-    ----------
-    model : RbfModel
-        Centres, widths, weights.
-    joint_box_rad : ndarray, shape (2, n)
-        Least and greatest joint positions trained on, rad; outside, the networks extrapolate.
-    z_samples : ndarray, shape (k, m)
-        Some of the measurements trained on: the arm can reach them.
-    joint_names : tuple of str
-        The joint order.
-    feature_frame : str
-        Frame of the measurements.
-    errors : dict
-        Error figures of the training, name to number.
-    provenance : dict
-        Where it comes from; anything that JSON can hold.
-    chain : SerialChain or PixelChains, optional
-        The chain fitted to the same data, for the method ``poe``; before webcams, one for each.
-    feature : str
-        As of the data set.
-
-    Raises
-    ------
-    ValueError
-        If its parts do not fit together.
-    """
+    """The networks, with the data needed to use them; a ``ValueError`` if they do not fit."""
 
     model: RbfModel
+    #: Least and greatest joint positions trained on, rad, (2, n); outside, networks extrapolate.
     joint_box_rad: np.ndarray
-    z_samples: np.ndarray
-    joint_names: tuple[str, ...]
-    errors: Mapping[str, Any] = field(default_factory=dict)
+    z_samples: np.ndarray  #: some measurements trained on, (k, m): the arm can reach them
+    joint_names: tuple[str, ...]  #: the joint order
+    errors: Mapping[str, Any] = field(default_factory=dict)  #: figures of the training by name
+    #: Where it comes from; anything that JSON can hold.
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    #: Fitted to the same data, for the method ``poe``; before webcams, one for each.
     chain: SerialChain | PixelChains | None = None
 
     def __post_init__(self) -> None:

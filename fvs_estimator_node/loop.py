@@ -37,26 +37,14 @@ class EstimationLoop:
     Outliers are left out, as in the controller. A step ends at the first image whose joints have
     moved enough since the step's first image, and the next one begins there. After a timeout it
     begins at the newest image.
-
-    Parameters
-    ----------
-    estimator : Estimator
-        Learns from the images and estimates the Jacobian.
-
-    Attributes
-    ----------
-    tracks : list of ~fvs_ros.track.Track
-        Pair the images of each camera with joints, and judge them.
-    learns : bool
-        Off, the estimator learns nothing.
-    steps : int
-        Number of steps learned from.
     """
 
     def __init__(self, estimator: Estimator) -> None:
         self.estimator, self.kind = estimator, estimator.kind
-        self._backlash, self.learns = Backlash(), True
+        self._backlash = Backlash()
+        self.learns = True  #: off, the estimator learns nothing
         self._cameras = [_Camera(part) for part in self.kind.parts]
+        #: Pair the images of each camera with joints, and judge them.
         self.tracks = [camera.track for camera in self._cameras]
         self._forget()
 
@@ -67,7 +55,7 @@ class EstimationLoop:
         self._forget()
 
     def _forget(self) -> None:
-        self.steps = 0
+        self.steps = 0  #: how many it learned from
         self._jacobian: np.ndarray | None = None  # the newest
         for camera in self._cameras:
             camera.anchor = None

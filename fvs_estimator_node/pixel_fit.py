@@ -64,18 +64,12 @@ _STEP = 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class PixelFit(Fit):
-    """A fitted chain with its lens; residual and noise are standard deviations of a coordinate.
-
-    Parameters
-    ----------
-    chain : PixelChain
-        Chain and lens.
-    covariance : ndarray, shape (4 n + 3 K + 6, 4 n + 3 K + 6)
-        By the noise, of the coordinates of a :class:`~fvs_estimator_node.chain_chart.Chart` at the
-        chain, then of log f, c, px, and k1; last ``late_s`` and ``line_s``.
-    """
+    """A fitted chain with its lens; residual and noise are standard deviations of a coordinate."""
 
     chain: PixelChain
+    #: By the noise, (4 n + 3 K + 6, 4 n + 3 K + 6), of the coordinates of a
+    #: :class:`~fvs_estimator_node.chain_chart.Chart` at the chain, then of log f, c, px, and k1;
+    #: last ``late_s`` and ``line_s``.
     covariance: np.ndarray
 
     @property

@@ -23,26 +23,14 @@ _CLOSEST = 1e-3
 
 @dataclass(frozen=True)
 class Webcam:
-    """What a webcam makes of a point before it.
+    """What a webcam makes of a point before it."""
 
-    Parameters
-    ----------
-    focal_px : float
-        Focal length f, px, positive.
-    centre_px : tuple of two floats
-        Principal point c, px.
-    k1 : float
-        First radial distortion coefficient.
-    late_s : float
-        How late the images are stamped, s: one stamped t shows the joints at t - late_s.
-    line_s : float
-        How much later each row is exposed than the one above it, s: a rolling shutter.
-    """
-
-    focal_px: float
-    centre_px: tuple[float, float]
-    k1: float = 0.0
+    focal_px: float  #: focal length f, px, positive
+    centre_px: tuple[float, float]  #: principal point c, px
+    k1: float = 0.0  #: first radial distortion coefficient
+    #: How late the images are stamped, s: one stamped t shows the joints at t - late_s.
     late_s: float = 0.0
+    #: How much later each row is exposed than the one above it, s: a rolling shutter.
     line_s: float = 0.0
 
     def __post_init__(self) -> None:

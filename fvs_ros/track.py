@@ -18,29 +18,14 @@ from fvs_ros.timeline import MAX_LATENCY_S, Sample, Timeline
 class Track:
     """Pairs images with joints, judges them, and predicts what they measure.
 
-    Parameters
-    ----------
-    kind : Kind
-        What is measured, m numbers that move in d ways.
-
-    Attributes
-    ----------
-    filter : PathFilter
-        Its estimate, noise and deviation.
-    timeline : Timeline
-        The pairing, with its counters.
-    newest : Image or None
-        The newest image that was paired, accepted or not.
-    latency_s : float or None
-        Its age against the newest joint state then, s.
-    images : int
-        Number of images paired so far.
+    That is of a kind: m numbers that move in d ways.
     """
 
     def __init__(self, kind: Kind) -> None:
         self.kind = kind
-        self.filter, self.timeline = PathFilter(), Timeline()
-        self.images = 0
+        self.filter = PathFilter()  #: its estimate, noise and deviation
+        self.timeline = Timeline()  #: the pairing, with its counters
+        self.images = 0  #: how many were paired so far
         self.reset()
 
     def reset(self) -> None:
@@ -51,8 +36,8 @@ class Track:
     def _forget_images(self) -> None:
         self._clock_jumps = self.timeline.clock_jumps
         self.filter.restart()
-        self.newest: Image | None = None
-        self.latency_s: float | None = None
+        self.newest: Image | None = None  #: that was paired, accepted or not
+        self.latency_s: float | None = None  #: its age against the newest joint state then, s
         self._accepted: Image | None = None  # the newest that is no outlier
 
     def add_joints(

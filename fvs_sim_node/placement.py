@@ -12,14 +12,9 @@ from fvs_sim_node.camera import RigidPose
 
 
 class Placement:
-    """Posture, box of motion, and cameras of an arm.
+    """Posture, box of motion, and cameras of an arm with its ball, a chain in the world frame.
 
-    Parameters
-    ----------
-    chain : SerialChain
-        The arm and its ball in the world frame.
-    lower, upper : ndarray, shape (n,)
-        Ends of the joints' ranges, rad; infinite for none.
+    ``lower`` and ``upper``, (n,), are the ends of the joints' ranges, rad; infinite for none.
     """
 
     def __init__(self, chain: SerialChain, lower: np.ndarray, upper: np.ndarray) -> None:

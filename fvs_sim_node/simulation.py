@@ -77,41 +77,22 @@ class View:
 
 
 class Simulation:
-    """An arm with a ball on its end, seen by cameras; or with the camera on its end.
-
-    Parameters
-    ----------
-    config : SimConfig, optional
-        What is simulated.
-
-    Attributes
-    ----------
-    position_noise : callable, optional
-        Draws the error of a ball position, m, shape (3,), from the run's random generator, in
-        place of the white noise of the configuration.
-    full_frames : bool
-        Whether observations include full images; slower.
-    views : list of View
-        The cameras: several webcams, or one.
-    active : bool
-        Whether the velocity controller takes commands.
-    kind : Kind
-        Of what is servoed.
-    """
+    """An arm with a ball on its end, seen by cameras; or with the camera on its end."""
 
     def __init__(self, config: SimConfig | None = None) -> None:
         config = config or SimConfig()
-        self.kind = config.kind
+        self.kind = config.kind  #: of what is servoed
         self.world = World(config)
         self._actuator = Actuator(
             config, self.world.lower_rad, self.world.upper_rad, self.world.max_speed_rad_s
         )
         self._steps_per_period = round(config.physics_rate_hz / config.joint_state_rate_hz)
+        #: Draws the error of a ball position, m, (3,), by the generator, in place of white noise.
         self.position_noise: Callable[[np.random.Generator], np.ndarray] | None = None
-        self.full_frames = False
+        self.full_frames = False  #: whether observations include full images; slower
         own = {member.name for member in fields(DetectorConfig)} & vars(config).keys()
         detection = DetectorConfig(**{name: getattr(config, name) for name in own})
-        self.views = [
+        self.views = [  #: the cameras: several webcams, or one
             View(
                 number,
                 part,
@@ -195,7 +176,7 @@ class Simulation:
         for view, own in zip(self.views, seeds, strict=True):
             view.reset(*map(np.random.default_rng, own))
         self._step = 0
-        self.active = True
+        self.active = True  #: whether the velocity controller takes commands
         #: Position commands: the newest, and the one before.
         self._wanted: np.ndarray | None = None
         self._sought: np.ndarray | None = None

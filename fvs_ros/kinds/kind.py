@@ -28,44 +28,24 @@ class Kind(Parameters):
 
     This class is the kind whose z is a vector, so that d is m; by default, of lengths.
     Other kinds override what differs, and declare their parameters.
-
-    Attributes
-    ----------
-    name : str
-        Value of the parameter ``feature``.
-    what : str
-        What the camera looks for, in a word.
-    models : tuple of str
-        Trained models of the simulated arm that come with the package: before a fixed camera, and
-        with the camera on the arm.
-    topics : KindTopics
-        Where it is published.
-    columns : tuple of str
-        Names of the numbers that a person writes of a measurement.
-    axes : tuple of str
-        Names of the d components of a tangent vector.
-    box_size : int
-        Count of the first numbers of z that a workspace box bounds; 0 without one.
-    outliers : float
-        Share of images that are usually further off than their noise.
-    least_joints : int
-        Fewest joints that can servo it.
-    rigid : bool
-        Whether it is measured of a rigid body, which twists of space move.
-    camera_mount : str
-        Where the camera is: ``fixed`` in the room, it sees what rides on the arm; or on the
-        ``arm``, it sees what stands in the room.
     """
 
+    #: Value of the parameter ``feature``, and what the camera looks for, in a word.
     name = what = ""
+    #: Trained models of the simulated arm that come with the package: before a fixed camera, and
+    #: with the camera on the arm.
     models: ClassVar[tuple[str, str]] = ("", "")
     topics: ClassVar[KindTopics]
+    #: Names of the numbers that a person writes of a measurement.
     columns: ClassVar[tuple[str, ...]] = ("x", "y", "z")
-    axes: ClassVar[tuple[str, ...]] = ()
-    outliers = 0.01
-    box_size, least_joints = 3, 1
-    rigid = True
+    axes: ClassVar[tuple[str, ...]] = ()  #: names of the d components of a tangent vector
+    outliers = 0.01  #: share of images that are usually further off than their noise
+    box_size = 3  #: count of the first numbers of z that a workspace box bounds; 0 without one
+    least_joints = 1  #: fewest joints that can servo it
+    rigid = True  #: whether it is measured of a rigid body, which twists of space move
 
+    #: ``fixed`` in the room, the camera sees what rides on the arm; on the ``arm``, what stands in
+    #: the room.
     camera_mount: str = field(default=FIXED, kw_only=True)
 
     @classmethod
