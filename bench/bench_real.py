@@ -26,6 +26,7 @@ from fvs_detector_node.tag_pose import TagDetector
 from fvs_detector_node.tags import SQUARE, Tag
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.pixel_fit import fit_pixels
 from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.rotations import rotation_from_vector
 from fvs_tools.calibration import calibrate
@@ -52,6 +53,8 @@ class Recording(NamedTuple):
     points_m: np.ndarray | None = None
     matrix: np.ndarray | None = None
     wrong: np.ndarray | bool = False  # images that are known to be wrong, (k,)
+    lens: np.ndarray | None = None  # its distortion
+    corners_px: np.ndarray | None = None  # of the points, as seen, (k, K, 2)
     on_arm: bool = False
 
 
@@ -131,7 +134,7 @@ def webcams(folder):
         size = tuple(about["pattern_size_inner_corners"].values())
         points_m = np.insert(np.mgrid[: size[0], : size[1]].T.reshape(-1, 2), 2, 0.0, axis=1)
         points_m = about["square_size_m"] * (points_m - points_m.mean(axis=0))
-        numbers, joints, boards = [], [], []
+        numbers, joints, boards, corners = [], [], [], []
         for pose in sorted(poses, key=lambda pose: pose["images"][name]):
             for image in folder.glob(f"{pose['images'][name]}.*"):
                 grey = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
@@ -142,12 +145,18 @@ def webcams(folder):
                     boards.append(matrices(position[:, 0], Rotation.from_rotvec(vector[:, 0])))
                     joints.append(np.radians(list(pose["joint_angles_deg"].values())))
                     numbers.append(pose["pose_id"])
+                    corners.append(corners_px[:, 0])
         if boards:
-            boards = upright(hands_of(arm, np.array(joints)), np.array(boards))
+            seen, corners = np.array(boards), np.array(corners)
+            boards = upright(hands_of(arm, np.array(joints)), seen)
+            reversed_ = (boards != seen).any(axis=(1, 2))
+            corners[reversed_] = corners[reversed_, ::-1]
             data, _ = of_table(arm.names, np.hstack([joints, as_rows(boards)]))
             wrong = np.isin(numbers, [25, 26])
             name = f"{name}, board read in {len(boards)} images"
-            yield Recording(name, data, arm, boards, points_m, matrix, wrong)
+            yield Recording(
+                name, data, arm, boards, points_m, matrix, wrong, lens=lens, corners_px=corners
+            )
 
 
 def scaled(about, width):
@@ -215,6 +224,29 @@ def by_us(recording, mask):
     return matrices(features[:, :3], rotations), delay_s
 
 
+def by_pixels(recording, mask, held):
+    """Rms over the held-out corners of what a chain before an unknown lens predicts of nine.
+
+    In px, mm across the line of sight and mm in space, as the authors' lens has both.
+    """
+    grid = np.arange(len(recording.points_m)).reshape(7, 9)[::3, ::4].ravel()
+    corners, joints = recording.corners_px[:, grid].astype(float), recording.data.joints_rad
+    k = np.arange(np.count_nonzero(mask))
+    z = corners[mask].reshape(len(k), -1)
+    fit = fit_pixels(DataSet(k * 1.0, joints[mask], z, k, still=True, feature="points"))
+    parts = [[], [], []]
+    for predicted, seen in zip(fit.chain.position(joints[held]), corners[held], strict=True):
+        ours, theirs = (
+            cv2.solvePnP(recording.points_m[grid], image, recording.matrix, recording.lens)[2][:, 0]
+            for image in (predicted.reshape(-1, 2), seen)
+        )
+        off_px = predicted.reshape(-1, 2) - seen
+        across_mm = 1e3 * off_px * theirs[2] / recording.matrix[0, 0]
+        for part, off in zip(parts, (off_px, across_mm, 1e3 * (ours - theirs)[None]), strict=True):
+            part.append(off)
+    return [np.sqrt(np.mean(np.sum(np.concatenate(part) ** 2, axis=1))) for part in parts]
+
+
 def by_opencv(recording, mask, method):
     """The same by a solver of OpenCV, with the mean of what it does not solve for."""
     hands = hands_of(recording.arm, recording.data.joints_rad)
@@ -250,7 +282,7 @@ def errors(recording, poses, held):
 def compare(recording, use):
     """Print the errors on the held-out of the images that are used."""
     solvers = SOLVERS if hasattr(cv2, "calibrateHandEye") else ()
-    rows, count = {}, len(recording.data)
+    rows, webcam, count = {}, [], len(recording.data)
     pieces = np.arange(count) * (count if recording.data.still else PIECES) // count
     for fitted in splits(pieces[-1] + 1):
         mask, held = use & fitted[pieces], use & ~fitted[pieces]
@@ -259,6 +291,8 @@ def compare(recording, use):
         for method in solvers:
             poses = by_opencv(recording, mask, method)
             rows.setdefault(f"OpenCV {method.title()}", []).append(errors(recording, poses, held))
+        if recording.corners_px is not None:
+            webcam.append(by_pixels(recording, mask, held))
     fitted, held = np.count_nonzero(mask), np.count_nonzero(held)
     print(f"  {recording.name}; fitted {fitted}, held out {held}")
     for name, by_split in rows.items():
@@ -266,6 +300,9 @@ def compare(recording, use):
         print(
             f"    {name:<20}", *(f"{half:7.2f} ({first:.2f}) {unit}" for half, first, unit in each)
         )
+    if webcam:
+        halves = zip(np.median(webcam, axis=0), ("px", "mm across", "mm in space"), strict=True)
+        print("    unknown lens, corners ", *(f"{half:7.2f} {unit}" for half, unit in halves))
     if not recording.data.still:
         print(f"    images stamped {1e3 * delay_s:.1f} ms late by fvs_calibrate")
 
