@@ -18,6 +18,7 @@ from fvs_lab import figures as draw
 from fvs_lab.floor import Limits, least_time_s
 from fvs_lab.results import Results, median
 from fvs_lab.trials import Case, Trial, apart, crossed, drive, photo, relative_errors
+from fvs_ros.chain import SerialChain
 from fvs_ros.interface import POSITION, PositionPath
 from fvs_ros.limits import JointLimits, with_urdf_limits
 from fvs_ros.params import Parameters
@@ -39,11 +40,17 @@ def _simulation(arm: str) -> Simulation:
     return Simulation(SimConfig(robot=arm, rendered=False, position_noise_m=0.001))
 
 
-def _described(arm: str, values: Parameters) -> dict[str, Any]:
+def described(simulation: Simulation, values: Parameters) -> dict[str, Any]:
     """Values of a node's parameters, the limits filled in from the arm's URDF."""
-    return with_urdf_limits(
-        vars(values), {joint.name: joint for joint in _simulation(arm).world.joints}
-    )
+    return with_urdf_limits(vars(values), {joint.name: joint for joint in simulation.world.joints})
+
+
+def floor_s(simulation: Simulation, case: Case, chain: SerialChain) -> float:
+    """Least time until it is within 5 mm for good, by the arm's limits and a chain, s."""
+    asked = JointLimits(joint_names=simulation.world.joint_names)
+    limits = JointLimits.from_values(described(simulation, asked))
+    equal = Limits(limits.max_joint_velocity_rad_s, limits.max_joint_acceleration_rad_s2)
+    return least_time_s(case, equal, SETTLED_ERROR_M, chain, limits.share)
 
 
 def collect(simulation: Simulation, config: CollectorConfig, late_s: float = 0.0) -> DataSet:
@@ -75,7 +82,7 @@ def learn(arm: str, duration_s: float) -> tuple[TrainedModel, float]:
     simulation = _simulation(arm)
     names = simulation.world.joint_names
     asked = CollectorConfig(joint_names=names, duration_s=duration_s, seed=1)
-    data = collect(simulation, CollectorConfig.from_values(_described(arm, asked)))
+    data = collect(simulation, CollectorConfig.from_values(described(simulation, asked)))
     trained = train(data, TrainingOptions("poe", seed=1))
     assert trained.chain is not None
     low, high = trained.joint_box_rad
@@ -92,13 +99,10 @@ def servo(task: tuple[str, int, float]) -> list[dict[str, Any]]:
     arm, count, duration_s = task
     trained, error = learn(arm, duration_s)
     simulation = _simulation(arm)
-    asked = JointLimits(joint_names=simulation.world.joint_names)
-    limits = JointLimits.from_values(_described(arm, asked))
-    equal = Limits(limits.max_joint_velocity_rad_s, limits.max_joint_acceleration_rad_s2)
     best = scheme("best")
     variant = Trial(
         best,
-        labels={"arm": arm, "joints": len(limits.joint_names), "learned": error},
+        labels={"arm": arm, "joints": len(simulation.world.joint_names), "learned": error},
         estimator_of=lambda *_: create_estimator(
             best.method, best.estimator_values, lambda: trained
         ),
@@ -111,9 +115,8 @@ def servo(task: tuple[str, int, float]) -> list[dict[str, Any]]:
         case = Case(f"{arm} {number + 1}", *pair, number)
         (trial,) = crossed([variant], [case])
         run = drive(trial, simulation)
-        chain, share = simulation.world.chain, limits.share
-        floor_s = least_time_s(case, equal, SETTLED_ERROR_M, chain, share)
-        rows.append({**run, "over_5mm": run["to_5mm_s"] / floor_s})
+        least_s = floor_s(simulation, case, simulation.world.chain)
+        rows.append({**run, "over_5mm": run["to_5mm_s"] / least_s})
     return rows
 
 

@@ -17,8 +17,7 @@ from fvs_estimator_node.on_arm import OnArmPoeEstimator
 from fvs_estimator_node.training import learned
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.arms import collect
-from fvs_lab.floor import Limits, least_time_s
+from fvs_lab.arms import collect, described, floor_s
 from fvs_lab.pose import rest
 from fvs_lab.relative import VISP_1_S, joints_at
 from fvs_lab.results import Results, median
@@ -27,8 +26,6 @@ from fvs_ros.chain import SerialChain
 from fvs_ros.filter import Image
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
-from fvs_ros.limits import JointLimits, with_urdf_limits
-from fvs_ros.params import Parameters
 from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
 from fvs_ros.vectors import length
 from fvs_ros.view import ViewConfig
@@ -37,7 +34,6 @@ from fvs_sim_node.config import SimConfig
 from fvs_sim_node.robot import ROBOTS, moving_joints
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.schemes import scheme
-from fvs_tools.score import SETTLED_ERROR_M
 
 #: An exact camera whose noise is like that of rendered images so near.
 ROOM = SimConfig(
@@ -93,11 +89,6 @@ def _simulation(arm: str, feature: str) -> Simulation:
     simulation = _build(config)
     simulation.configure(config)
     return simulation
-
-
-def _described(simulation: Simulation, values: Parameters) -> dict[str, Any]:
-    """Values of a node's parameters, the limits filled in from the arm's URDF."""
-    return with_urdf_limits(vars(values), {joint.name: joint for joint in simulation.world.joints})
 
 
 def _put(simulation: Simulation, pose: RigidPose, velocity_m_s: Vector = (0.0, 0.0, 0.0)) -> None:
@@ -166,7 +157,7 @@ def learn(task: tuple[str, str, float], servos: Mapping[str, Any] | None = None)
     names, where = simulation.world.joint_names, ROOM.camera_mount
     asked = CollectorConfig(joint_names=names, duration_s=duration_s, seed=1, feature=feature)
     asked = replace(asked, camera_mount=where, joint_range_rad=(RANGE_RAD,))
-    data = collect(simulation, CollectorConfig.from_values(_described(simulation, asked)))
+    data = collect(simulation, CollectorConfig.from_values(described(simulation, asked)))
     chain = fit_chain(data).chain
     box_rad = np.array([data.joints_rad.min(axis=0), data.joints_rad.max(axis=0)])
     joints_rad = np.random.default_rng(2).uniform(box_rad[0], box_rad[1], (500, len(box_rad.T)))
@@ -203,13 +194,9 @@ def run(trial: Trial, simulation: Simulation) -> dict[str, Any]:
 
 def over_floor(row: dict[str, Any], simulation: Simulation, case: Case) -> dict[str, Any]:
     """A row with its settling time over the least time."""
-    asked = JointLimits(joint_names=simulation.world.joint_names)
-    limits = JointLimits.from_values(_described(simulation, asked))
-    equal = Limits(limits.max_joint_velocity_rad_s, limits.max_joint_acceleration_rad_s2)
     simulation.reset(case.goal_rad)
     seen = simulation.true_chain().weighted(simulation.kind.weights)
-    floor_s = least_time_s(case, equal, SETTLED_ERROR_M, seen, limits.share)
-    return {**row, "over_5mm": row["to_5mm_s"] / floor_s}
+    return {**row, "over_5mm": row["to_5mm_s"] / floor_s(simulation, case, seen)}
 
 
 def to_second(task: tuple[Arm, int]) -> dict[str, Any]:
