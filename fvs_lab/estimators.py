@@ -22,6 +22,7 @@ from fvs_lab import figures as draw
 from fvs_lab.results import Results, label_of
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, along, relative_errors, simulation_of
 from fvs_ros.kinds import Kind
+from fvs_sim_node.simulation import Simulation
 from fvs_tools.closed_loop import make_estimator
 
 # ---- contestants and worlds -----------------------------------------------------------------
@@ -101,13 +102,13 @@ class _Recorder(Estimator):
         self.steps.append(step)
 
 
-def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
-    """Move the simulated arm, and record measurements and ground truth.
+def record(seed: int, simulation: Simulation, duration_s: float) -> Recording:
+    """Move a simulated UR5, and record measurements and ground truth.
 
     The seed determines motion and noise. The motion begins 5 s before the part of this length, s,
     that is scored; its fastest joint moves at 0.4 rad/s.
     """
-    simulation, prelude_s = simulation_of(conditions), 5.0
+    prelude_s = 5.0
     config = MotionConfig(
         duration_s=3600.0,  # its end, which is slow, is never reached
         joint_range_rad=tuple(0.9 * BOX_RAD),
@@ -119,23 +120,24 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
     loop = EstimationLoop(recorder)
     period_s = 1.0 / simulation.config.joint_state_rate_hz
     joints = simulation.joints_rad
-    truth_m: dict[int, np.ndarray] = {}  # by microseconds, which survive the rounding of sums
+    exposed_rad: dict[int, np.ndarray] = {}  # by microseconds, which survive rounding of sums
     for _ in range(round((prelude_s + duration_s) / period_s)):
         simulation.command(motion.command(simulation.time_s, joints))
         out = simulation.advance()
         joints = out.joints_rad
         for image in out.observations:
-            truth_m[round(1e6 * image.stamp_s)] = image.true_position_m
+            exposed_rad[round(1e6 * image.stamp_s)] = image.joints_rad
             if image.z is not None:
                 loop.add_image(image.stamp_s, image.z)
         loop.add_joints(out.time_s, joints)
     steps = recorder.steps
-    ends_m = np.array([truth_m[round(1e6 * step.stamp_s)] for step in steps])
-    starts_m = np.array([truth_m[round(1e6 * (step.stamp_s - step.dt_s))] for step in steps])
+    ends = np.array([exposed_rad[round(1e6 * step.stamp_s)] for step in steps])
+    starts = np.array([exposed_rad[round(1e6 * (step.stamp_s - step.dt_s))] for step in steps])
+    kind, chain = simulation.kind, simulation.true_chain()
     return Recording(
         steps=tuple(steps),
         time_s=np.array([step.stamp_s for step in steps]) - prelude_s,
-        true_d_ball_m=ends_m - starts_m,
+        true_d_ball_m=kind.minus(chain.position(ends), chain.position(starts)),
         true_jacobian=np.array([simulation.true_jacobian(step.joints_rad) for step in steps]),
     )
 
@@ -187,7 +189,7 @@ def judge_all(job: tuple[str, Conditions, int, float]) -> list[dict[str, Any]]:
     conditions = replace(conditions, camera_carried_deg=along(axis, WORLDS[world]))
     if world == SILENT:
         conditions = replace(conditions, position_noise_m=0.0, depth_noise=0.0)
-    recording = record(seed, conditions, duration_s)
+    recording = record(seed, simulation_of(conditions), duration_s)
     rows, jacobians = [], {}
     for contestant in ESTIMATORS:
         name, method = contestant.name, contestant.method

@@ -24,6 +24,7 @@ EXPERIMENTS = {
     "relative": "Teach and repeat relative to an object, beside calibrated cameras.",
     "hand": "The camera on the arm: learned before one tag, servoed to others.",
     "hobby": "A hobby arm: play is learned, and the arm rests without hunting.",
+    "points": "Image points of webcams of unknown lenses: every scheme, noise, random arms.",
     "everyday": "500 everyday worlds: noise, latency, lost images, a camera moved before.",
     "tags": "The same for the pose of a tag.",
     "robustness": "500 harsh worlds: more of everything, and a camera bumped in motion.",

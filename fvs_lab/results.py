@@ -179,6 +179,8 @@ METRICS = {
     "to_5mm_s": Metric("to 5 mm, s"),
     "to_2mm_s": Metric("to 2 mm, s"),
     "over_5mm": Metric("to 5 mm over floor"),
+    "over_1px": Metric("to 1 px over floor"),
+    "to_1px_s": Metric("to 1 px, s"),
     "over_undisturbed": Metric("over undisturbed"),
     "final_rms_m": Metric("final error, mm rms", 1e3),
     "jitter_rad_s": Metric("jitter, mrad/s", 1e3),
@@ -200,6 +202,10 @@ METRICS = {
     "within": Metric("within the corrected"),
     "printed_kept": Metric("within the printed"),
     "t1_m": Metric("T1, mm", 1e3, 3),
+    "t1_px": Metric("T1, px"),
+    "rest_px": Metric("final error, px"),
+    "focal": Metric("focal length, %", 1e2),
+    "k1_off": Metric("error of k1", 1.0, 4),
     "t2_max_m": Metric("largest T2, mm", 1e3, 1),
 }
 

@@ -44,8 +44,10 @@ def along(direction: np.ndarray, length: float) -> Vector:
 # ---- the world ------------------------------------------------------------------------------
 
 
-def stable_noise_m(scale_m: float, exponent: float, rng: np.random.Generator) -> np.ndarray:
-    """Symmetric alpha-stable errors of a ball position, m, (3,).
+def stable_noise_m(
+    scale_m: float, exponent: float, rng: np.random.Generator, size: int | tuple[int, ...] = 3
+) -> np.ndarray:
+    """Symmetric alpha-stable errors, such as of a ball position, m, (3,).
 
     With an exponent from above 1 to 2 (white) and, for 2, this standard deviation, m; with less,
     the bulk is as wide and the tails heavy.
@@ -53,7 +55,7 @@ def stable_noise_m(scale_m: float, exponent: float, rng: np.random.Generator) ->
     from scipy.stats import levy_stable
 
     scale_m /= np.sqrt(2.0)
-    error_m = levy_stable.rvs(exponent, 0.0, scale=scale_m, size=3, random_state=rng)
+    error_m = levy_stable.rvs(exponent, 0.0, scale=scale_m, size=size, random_state=rng)
     return np.clip(error_m, -0.1, 0.1)  # the detection knows the size of the ball
 
 

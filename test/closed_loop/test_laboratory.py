@@ -15,9 +15,11 @@ pytest.importorskip("jinja2")
 from scipy.stats import levy_stable
 
 from fvs_estimator_node.base import MotionStep
+from fvs_estimator_node.online import LkfEstimator, OnlineConfig
 from fvs_estimator_node.registry import create_estimator
 from fvs_lab import contestants as who
 from fvs_lab import experiment, main
+from fvs_lab.correntropy import CorrentropyConfig, CorrentropyEstimator
 from fvs_lab.estimators import Recording, jacobians_of, score
 from fvs_lab.experiment import Context
 from fvs_lab.report import EXPERIMENTS
@@ -129,6 +131,26 @@ def test_an_estimator_is_judged_before_it_learns_and_errors_add_up():
     assert row["t1_m"] == pytest.approx((0.01 + np.hypot(0.01, 0.02)) / 3.0)
     # the errors (10, 0), (-10, 20) and (0, 0) mm, summed up
     assert row["t2_max_m"] == pytest.approx(0.02)
+
+
+def test_a_correntropy_filter_is_the_kalman_filter_but_for_what_is_far_off():
+    rng, true = np.random.default_rng(2), np.array([[1.0, -0.5], [0.3, 0.8], [0.0, 0.4]])
+    moves = 0.1 * rng.normal(size=(60, 2))
+    exact = [MotionStep(0.1 * k, 0.1, np.zeros(2), m, true @ m) for k, m in enumerate(moves)]
+    spoilt = [
+        replace(s, d_feature_m=s.d_feature_m + 0.3 * (k % 9 == 8)) for k, s in enumerate(exact)
+    ]
+
+    def learned(estimator, steps):
+        for step in steps:
+            estimator.update(step)
+        return estimator.jacobian(np.zeros(2))
+
+    usual, wide = OnlineConfig(initial="zero"), CorrentropyConfig(initial="zero", bandwidth=1e6)
+    kalman = learned(LkfEstimator(None, usual), spoilt)
+    assert learned(CorrentropyEstimator(None, wide), spoilt) == pytest.approx(kalman)
+    robust = learned(CorrentropyEstimator(None, replace(wide, bandwidth=4.0)), spoilt)
+    assert 10.0 * np.linalg.norm(robust - true) < np.linalg.norm(kalman - true)
 
 
 # ---- beyond the paper -----------------------------------------------------------------------
