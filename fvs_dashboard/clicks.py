@@ -1,6 +1,8 @@
-"""Clicks in the pictures of webcams: where the target is, or what the detectors follow."""
+"""Clicks in the pictures of webcams: where the target is, or what the detector follows."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -8,10 +10,8 @@ from fvs_dashboard.board import Action
 from fvs_ros import topics
 from fvs_ros.kinds import Kind
 
-
-def detector_of(camera: str) -> str:
-    """The node that detects in the images of a camera."""
-    return topics.of_camera(topics.DETECTOR_STATUS, camera).name.removesuffix("/status")
+#: The detector's parameter with the points that it follows.
+TRACK = f"{topics.DETECTOR}/track_px"
 
 
 def shifted(z: np.ndarray | None, firsts_px: np.ndarray, kind: Kind) -> np.ndarray | None:
@@ -31,35 +31,31 @@ class Clicks:
 
     def __init__(self, kind: Kind) -> None:
         self._kind = kind
-        #: What is still to be clicked on, in words.
-        self.words = ""
-        #: By camera, px, where the target is to be, while others miss it.
-        self.aimed: dict[int, np.ndarray] = {}
-        self._marked: dict[int, list[float]] = {}
+        self.forget()
 
     def forget(self) -> None:
         """Begin anew."""
-        self.words, self.aimed, self._marked = "", {}, {}
+        #: What is still to be clicked on, in words.
+        self.words = ""
+        #: By camera, px: where the target is to be, while others miss it; and points to track.
+        self.aimed: dict[int, list[float]] = {}
+        self._marked: dict[int, list[float]] = {}
 
-    def aim(self, camera: int, at_px: np.ndarray) -> Action | None:
-        """Take the first point's target in a camera; the target once all cameras have theirs."""
-        names = self._kind.cameras
-        self.aimed[camera] = at_px
-        missing = [name for i, name in enumerate(names) if i not in self.aimed]
-        if missing:
-            self.words = f"now click where it shall be in {' and '.join(missing)}"
-            return None
-        target = np.concatenate([self.aimed[i] for i in range(len(names))])
-        self.forget()
-        return Action("target", tuple(target.tolist()))
+    def take(self, camera: int, at_px: Sequence[float], track: bool) -> Action | None:
+        """Take a click in a camera's picture; a target, or points to track, once all are there.
 
-    def mark(self, camera: int, at_px: np.ndarray) -> Action | None:
-        """Take the next point to follow in a camera; the detector's setting once all are there."""
-        marked = self._marked.setdefault(camera, [])
-        marked += at_px.tolist()
-        count = self._kind.parts[camera].numbers
-        if len(marked) < count:
-            self.words = f"now click on point {len(marked) // 2 + 1} of {count // 2}"
-            return None
-        self.forget()
-        return Action(f"{detector_of(self._kind.cameras[camera])}/track_px", tuple(marked))
+        The points to track in the other cameras stay where they were clicked last.
+        """
+        count = self._kind.parts[camera].numbers if track else 2
+        clicked = self._marked if track else self.aimed
+        before = clicked.get(camera, [])
+        clicked[camera] = [*(before if len(before) < count else []), *at_px]
+        for i, name in enumerate(self._kind.cameras):
+            done = len(clicked.get(i, []))
+            if done < count:
+                what = f"on point {done // 2 + 1}" if track else "where it shall be"
+                self.words = f"now click {what}" + f" in {name}" * bool(name)
+                return None
+        numbers = tuple(number for i in sorted(clicked) for number in clicked[i])
+        self.words, self.aimed = "", {}
+        return Action(TRACK if track else "target", numbers)

@@ -26,7 +26,7 @@ from std_msgs.msg import String
 
 from fvs_controller_node.references import References
 from fvs_dashboard.board import REFERENCE, Action, Board, Controller
-from fvs_dashboard.clicks import detector_of, shifted
+from fvs_dashboard.clicks import shifted
 from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
 from fvs_dashboard.picture import PANEL_PX, VIEW_PX, Picture
 from fvs_estimator_node.files import TrainedModel, load_model
@@ -73,7 +73,7 @@ class DashboardNode(ros.FvsNode):
         self._wake = self.create_guard_condition(self._act)
         self._description = ""
         self._references_read: tuple[Path, int] | None = None  # file, and when written
-        self._calls = Services(self, self._answer, *map(detector_of, cameras))
+        self._calls = Services(self, self._answer)
         self._cameras: list[ros.Sampled] = []  # while a browser shows the page
         self._board.tour = self._config.tour
         #: Where ball or tag can be, camera frame, m, shape (n, m).
@@ -106,9 +106,8 @@ class DashboardNode(ros.FvsNode):
         for camera, part in enumerate(kind.parts):
             on_feature = partial(self._on_feature, part.feature, "feature", camera)
             self.subscribe(part.feature, on_feature)
-            status = topics.of_camera(topics.DETECTOR_STATUS, kind.cameras[camera])
-            self.subscribe(status, partial(self._on_detector, camera))
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
+        self.subscribe(topics.DETECTOR_STATUS, self._on_detector)
         if not kind.rigid:
             return
         self.subscribe(
@@ -141,8 +140,8 @@ class DashboardNode(ros.FvsNode):
         controller = Controller(ros.from_status(message), message.message)
         self._board.add_status(self.steady_s(), controller)
 
-    def _on_detector(self, camera: int, message: DiagnosticStatus) -> None:
-        self._board.note("detector", self.steady_s(), message.message, camera)
+    def _on_detector(self, message: DiagnosticStatus) -> None:
+        self._board.note("detector", self.steady_s(), message.message)
 
     def _on_description(self, message: String) -> None:
         from fvs_dashboard.scene import Arm  # viser is installed, since the page is served

@@ -117,8 +117,8 @@ def inputs_html(board: Board, kind: Kind, now_s: float) -> str:
     """Ages of the controller's inputs and what else it says, two per row; sentences alone."""
     controller = board.controller(now_s)
     details = {}
-    cameras = dict(enumerate(kind.cameras))
-    seen = {kind.parts[i].feature.name: f"Seen {name}".strip() for i, name in cameras.items()}
+    parts = zip(kind.parts, kind.cameras, strict=True)
+    seen = {part.feature.name: f"Seen {name}".strip() for part, name in parts}
     # Last what is seen: also where that is the object.
     labels = {**seen, **_INPUTS, kind.topics.object.name: "Object", **seen}
     for name, label in labels.items():
@@ -136,11 +136,10 @@ def inputs_html(board: Board, kind: Kind, now_s: float) -> str:
     details["Active limit"] = controller.values.get("active_limit") or "none"
     if controller.silent:
         details = {}
-    for i, name in cameras.items():
-        if detector := board.newest("detector", now_s, i):
-            details[f"Detector {name}".strip()] = detector
+    if detector := board.newest("detector", now_s):
+        details["Detector"] = detector
     cells = (
-        f'<div class="{"fvs-wide" if name.startswith("Detector") else ""}">'
+        f'<div class="{"fvs-wide" if name == "Detector" else ""}">'
         f'<span class="fvs-faint">{escape(name)}</span> {escape(text)}</div>'
         for name, text in details.items()
     )

@@ -19,7 +19,7 @@ from viser import uplot
 from fvs_controller_node.config import LAWS
 from fvs_dashboard import markup, picture
 from fvs_dashboard.board import HISTORY_S, REFERENCE, Action, Board
-from fvs_dashboard.clicks import Clicks, detector_of
+from fvs_dashboard.clicks import TRACK, Clicks
 from fvs_dashboard.config import VISER, DashboardConfig
 from fvs_dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
 from fvs_dashboard.scene import LEGENDS, Scene
@@ -127,7 +127,7 @@ class Page:
         targets_px = board.controller(now_s).target_px(self._kind)
         for camera, each in enumerate(pictures):
             aimed, z = self._panel.clicks.aimed.get(camera), board.newest("feature", now_s, camera)
-            crosses_px = targets_px[camera] if aimed is None else aimed[None]
+            crosses_px = targets_px[camera] if aimed is None else np.array([aimed])
             circles_px = () if z is None else z.reshape(-1, 2)
             self._wall.update(camera, each, each.newest(crosses_px, circles_px))
 
@@ -252,7 +252,7 @@ class Panel:
             words = "sets the target", "track this"
             self._click = gui.add_dropdown("A click", words, hint=hint)
             self._next = gui.add_html("")
-            hint = "The detectors look for ball or tags again."
+            hint = "The detector looks for ball or tags again."
             undo = gui.add_button("Track nothing", color="gray", hint=hint)
             fields = [
                 gui.add_vector2(f"{name} u, v (px)".strip(), (0.0, 0.0), step=0.1)
@@ -263,8 +263,7 @@ class Panel:
         @undo.on_click
         async def _(_event: viser.GuiEvent) -> None:
             self.clicks.forget()
-            for name in self._kind.cameras:
-                self._act(Action(f"{detector_of(name)}/track_px", ()))
+            self._act(Action(TRACK, ()))
 
     def _add_go(self, fields: list[Any], tour: bool) -> None:
         gui, self._fields = self._gui, fields
@@ -292,8 +291,8 @@ class Panel:
     def clicked(self, camera: int, at_px: np.ndarray) -> None:
         """Take a click in a camera's picture."""
         self.forget_typed()
-        aims = self._click.value == self._click.options[0]
-        action = (self.clicks.aim if aims else self.clicks.mark)(camera, at_px)
+        track = self._click.value != self._click.options[0]
+        action = self.clicks.take(camera, at_px.tolist(), track)
         if action is not None:
             self._act(action)
 

@@ -99,11 +99,11 @@ class Patch:
         bent = np.abs(np.linalg.solve(self._shape, shape) - np.eye(2)).max()
         moved_px = np.linalg.norm(end - start)
         px = origin + end
-        if (
-            correlation < LIMITS.correlation
-            or moved_px > LIMITS.moved_px
-            or bent > LIMITS.bent
-            or not np.all((px >= 0.0) & (px < rgb.shape[1::-1]))
+        if not (
+            correlation >= LIMITS.correlation
+            and moved_px <= LIMITS.moved_px
+            and bent <= LIMITS.bent
+            and np.all((px >= 0.0) & (px < rgb.shape[1::-1]))
         ):
             return None
         if was_lost or max(abs(u - reach), abs(v - reach)) > half:

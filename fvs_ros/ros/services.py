@@ -15,18 +15,18 @@ from fvs_ros.ros.node import FvsNode
 
 
 class Services:
-    """The services of controller, estimator and simulator, and the parameters of some others.
+    """The services of controller, estimator and simulator, and their and the detector's parameters.
 
     ``show`` displays a text to the user.
     """
 
-    def __init__(self, node: FvsNode, show: Callable[[str], None], *others: str) -> None:
+    def __init__(self, node: FvsNode, show: Callable[[str], None]) -> None:
         self._node, self._show = node, show
-        nodes = topics.CONTROLLER, topics.ESTIMATOR, topics.SIM
+        nodes = topics.CONTROLLER, topics.ESTIMATOR, topics.SIM, topics.DETECTOR
         services: dict[str, Any] = {
             **{name: Trigger for name, (kind, _) in topics.SERVICES.items() if "Trigger" in kind},
             **{f"{each}/get_parameters": GetParameters for each in nodes},
-            **{f"{each}/set_parameters": SetParameters for each in (*nodes, *others)},
+            **{f"{each}/set_parameters": SetParameters for each in nodes},
         }
         self._clients = {name: node.create_client(kind, name) for name, kind in services.items()}
         self._stopping, self._stops = False, 0
@@ -98,7 +98,7 @@ class Services:
             elif then and stops == self._stops:
                 self.call(*then)
 
-        node, _, name = parameter.rpartition("/")
+        node, _, name = parameter.partition("/")
         plain = value if isinstance(value, (float, str)) else list(value)
         wanted = Parameter(name, value=plain).to_parameter_msg()
         request = SetParameters.Request(parameters=[wanted])

@@ -302,28 +302,38 @@ def test_the_ball_before_a_webcam_goes_where_its_picture_is_clicked(ros_test, pa
     ros_test.spin_until(there, 30.0, "the ball there", page.text)
 
 
-def test_what_is_clicked_on_is_tracked_by_the_detector_of_that_camera(ros_test, pages):
-    rng = np.random.default_rng(7)
+def test_what_is_clicked_on_in_both_pictures_is_tracked_by_the_detector(ros_test, pages):
+    rng, cameras = np.random.default_rng(7), ("left", "right")
     spots = np.kron(rng.integers(0, 256, (60, 80, 1)), np.ones((4, 4, 3))).astype(np.uint8)
-    image = topics.of_camera(topics.COLOR_IMAGE, "left")
-    images = ros_test.node.create_publisher(Image, image.name, ros.QOS_RELIABLE)
-    ros_test.node.create_timer(
-        0.1, lambda: images.publish(ros.to_image(time.time(), "eye", spots, "rgb8"))
-    )
-    parameters = {"feature": "points", "cameras": "[left]", "port": 0}
-    page = pages(address_of(ros_test, ros_test.start_node(DASHBOARD, **parameters)))
-    ros_test.start_node("fvs_detector_node.node", {"__ns": "/left"}, feature="points")
-    seen = ros_test.collect(PolygonStamped, "left/image_points")
-    lost = "nothing in view has the ball&#x27;s colour"
+    images = [
+        ros_test.node.create_publisher(
+            Image, topics.of_camera(topics.COLOR_IMAGE, name).name, ros.QOS_RELIABLE
+        )
+        for name in cameras
+    ]
+
+    def show():
+        for publisher in images:
+            publisher.publish(ros.to_image(time.time(), "eye", spots, "rgb8"))
+
+    ros_test.node.create_timer(0.1, show)
+    parameters = {"feature": "points", "cameras": list(cameras)}
+    page = pages(address_of(ros_test, ros_test.start_node(DASHBOARD, port=0, **parameters)))
+    ros_test.start_node("fvs_detector_node.node", **parameters)
+    seen = [ros_test.collect(PolygonStamped, f"{name}/image_points") for name in cameras]
+    lost = "left: nothing in view has the ball&#x27;s colour"
     ros_test.spin_until(lambda: lost in page.text(), 30.0, "a detector", page.text)
     page.set("A click", "track this")
 
     def clicked():
-        page.click("/picture/0", (0.0, -1.0, page.positions["/picture/0"][2]), (0.0, 1.0, 0.0))
-        return seen
+        for camera in (0, 1):
+            name = f"/picture/{camera}"
+            page.click(name, (0.25 * camera, -1.0, page.positions[name][2]), (0.0, 1.0, 0.0))
+        return all(seen)
 
-    ros_test.spin_until(clicked, 30.0, "a point", page.text)
-    np.testing.assert_allclose(Points().read(seen[-1]), [159.5, 119.5], atol=0.2)
+    ros_test.spin_until(clicked, 30.0, "points", page.text)
+    for messages, u in zip(seen, (159.5, 239.5), strict=True):
+        np.testing.assert_allclose(Points().read(messages[-1]), [u, 119.5], atol=0.2)
     page.press("Track nothing")
     ros_test.spin_until(lambda: lost in page.text(), 15.0, "the ball's absence", page.text)
 

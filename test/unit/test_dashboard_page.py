@@ -144,10 +144,11 @@ def test_a_click_in_a_picture_is_a_target_there_and_of_another_size_too():
         np.testing.assert_allclose(actions[0].value, [479.5, 159.5, 959.5, 539.5], atol=1e-6)
         client.set("A click", "track this")
         soon(lambda: page._panel._click.value == "track this")
+        click(0, 0.0, 0.0)
         click(1, 0.5, 0.28125)
         soon(lambda: actions[1:])
-        assert actions[1].name == "right/fvs_detector_node/track_px"
-        np.testing.assert_allclose(actions[1].value, [1919.0, 0.0], atol=1e-6)
+        assert actions[1].name == "fvs_detector_node/track_px"
+        np.testing.assert_allclose(actions[1].value, [319.5, 239.5, 1919.0, 0.0], atol=1e-6)
     finally:
         client.close()
         page.close()

@@ -97,19 +97,23 @@ def test_only_the_page_itself_may_command_and_under_its_own_name(served_at, host
 
 
 def test_clicks_in_all_pictures_make_a_target_and_on_all_points_a_detectors_setting():
-    clicks, px = Clicks(Points(2, cameras=("left", "right"))), np.array
-    assert clicks.aim(1, px([5.0, 6.0])) is None
+    clicks = Clicks(Points(2, cameras=("left", "right")))
+    assert clicks.take(1, [5.0, 6.0], track=False) is None
     assert clicks.words == "now click where it shall be in left"
-    assert clicks.aim(1, px([7.0, 8.0])) is None  # of two in one picture the last counts
-    assert clicks.aim(0, px([1.0, 2.0])) == Action("target", (1.0, 2.0, 7.0, 8.0))
-    assert clicks.mark(0, px([3.0, 4.0])) is None
-    assert clicks.words == "now click on point 2 of 2"
-    setting = Action("left/fvs_detector_node/track_px", (3.0, 4.0, 5.0, 6.0))
-    assert clicks.mark(0, px([5.0, 6.0])) == setting
+    assert clicks.take(1, [7.0, 8.0], track=False) is None  # the last counts
+    assert clicks.take(0, [1.0, 2.0], track=False) == Action("target", (1.0, 2.0, 7.0, 8.0))
+    assert clicks.take(0, [1.0, 2.0], track=True) is None
+    assert clicks.words == "now click on point 2 in left"
+    for px in ([3.0, 4.0], [5.0, 6.0]):
+        assert clicks.take(int(px[0] == 5.0), px, track=True) is None
+    assert clicks.words == "now click on point 2 in right"
+    action = clicks.take(1, [7.0, 8.0], track=True)
+    assert action == Action("fvs_detector_node/track_px", tuple(map(float, range(1, 9))))
     assert clicks.words == ""
-    alone = Clicks(Points())
-    assert alone.aim(0, px([1.0, 2.0])) == Action("target", (1.0, 2.0))
-    assert alone.mark(0, px([1.0, 2.0])) == Action("fvs_detector_node/track_px", (1.0, 2.0))
+    assert clicks.take(1, [9.0, 9.0], track=True) is None
+    action = clicks.take(1, [10.0, 9.0], track=True)
+    assert action.value == (1.0, 2.0, 3.0, 4.0, 9.0, 9.0, 10.0, 9.0)
+    assert Clicks(Points()).take(0, [1.0, 2.0], track=False) == Action("target", (1.0, 2.0))
 
 
 def test_a_target_of_the_first_point_takes_the_others_with_it():
@@ -123,8 +127,7 @@ def test_a_target_of_the_first_point_takes_the_others_with_it():
 def test_what_is_said_of_image_points_is_in_pixels_and_of_each_camera():
     kind = Points(cameras=("left", "right"))
     board = Board(6, kind)
-    for camera, name in enumerate(kind.cameras):
-        board.note("detector", 0.0, f"{name} is lost", camera)
+    board.note("detector", 0.0, "right: it is lost")
     values = {"left/image_points_age_s": "0.02", "right/image_points_age_s": "0.03"}
     values |= {"target_left_u1": "1.5", "target_left_v1": "2.5", "error_m": "0.05"}
     controller = Controller({**values, "state": "READY"}, "")
@@ -133,7 +136,7 @@ def test_what_is_said_of_image_points_is_in_pixels_and_of_each_camera():
     for words in (
         "Seen left</span> 20 ms",
         "Seen right</span> 30 ms",
-        "right</span> right is lost",
+        "right: it is lost",
     ):
         assert words in html
     assert "10.0 px" in markup.banner_html(controller, kind)
