@@ -57,13 +57,8 @@ class _OfFeature:
     camera_mount: str = KindConfig.camera_mount
     feature_frame: str = CAMERA_FRAME  #: that of the measurements
     cameras: tuple[str, ...] = (UNNAMED,)
-    #: The field with measurements, (k, m).
-    _measured: ClassVar[str] = "z_samples"
-
-    @property
-    def _count(self) -> int:
-        """Count of the numbers that the cameras measure at once."""
-        return int(getattr(self, self._measured).shape[1])
+    #: Count of the numbers that all cameras measure at once.
+    _count: ClassVar[Any]
 
     @property
     def kind(self) -> Kind:
@@ -74,10 +69,10 @@ class _OfFeature:
             raise ValueError(f"a {kind.name} has {kind.numbers} numbers, got {count}")
         return kind
 
-    def _check_numbers(self) -> None:
-        """A ``ValueError`` if the measurements are none of the kind."""
+    def _check_numbers(self, measured: np.ndarray) -> None:
+        """A ``ValueError`` if measurements, (k, m), are none of the kind."""
         kind = self.kind
-        for z in getattr(self, self._measured)[:1]:
+        for z in measured[:1]:
             if np.abs(kind.nearest(z) - z).max() > _NO_MEASUREMENT:
                 raise ValueError(f"{np.round(z, 3).tolist()} is no {kind.name}")
 
@@ -117,11 +112,10 @@ class DataSet(_OfFeature):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     still: bool = False  #: whether the arm stood still at every image: still poses
     camera: np.ndarray | int = 0  #: which of ``cameras`` a sample is of, (k,); never falls
-    _measured: ClassVar[str] = "z"
 
     def __post_init__(self) -> None:
         n = check_arrays(self, _DATA_SET)["n"]
-        self._check_numbers()
+        self._check_numbers(self.z)
         names = tuple(self.joint_names) or tuple(f"joint_{i + 1}" for i in range(n))
         if len(names) != n:
             raise ValueError(f"{len(names)} joint names and {n} joints do not fit together")
@@ -149,7 +143,7 @@ class DataSet(_OfFeature):
 
     @property
     def _count(self) -> int:
-        return super()._count * len(self.cameras)
+        return self.z.shape[1] * len(self.cameras)
 
     @property
     def parts(self) -> tuple[DataSet, ...]:
@@ -201,7 +195,7 @@ class TrainedModel(_OfFeature):
                 "joints do not fit together"
             )
         check_arrays(self, _MODEL, n=n)
-        self._check_numbers()
+        self._check_numbers(self.z_samples)
         if self.chain is not None and self.chain.numbers != self.kind.numbers:
             raise ValueError(f"a chain of {self.chain.numbers} numbers is for no {self.kind.name}")
         learned = len(self.kind.learned)
@@ -210,6 +204,10 @@ class TrainedModel(_OfFeature):
         low, high = self.joint_box_rad
         if np.any(low > high):
             raise ValueError("joint_box_rad has a least value above the greatest")
+
+    @property
+    def _count(self) -> int:
+        return self.z_samples.shape[1]
 
     def target(self, z: np.ndarray, distance_m: float, rng: np.random.Generator) -> np.ndarray:
         """A measurement trained on, (m,), that is about a distance, m, away from z.

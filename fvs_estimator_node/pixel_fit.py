@@ -205,8 +205,7 @@ class _Fitting:
         self.pixels = data.z[self._path.indices].reshape(len(self._path.indices), -1, 2)
         self.spread_px = float(np.linalg.norm(data.z[:, :2].std(axis=0)))
         self._middle, self._side = self.pixels.mean(axis=(0, 1)), float(np.abs(data.z).max())
-        self._all = np.arange(len(self.pixels))
-        self._few = _spread(self._all, _SEARCH_IMAGES)
+        self._few = _spread(np.arange(len(self.pixels)), _SEARCH_IMAGES)
 
     def start(self) -> list[PixelChain]:
         """The best few of some random chains, each joint of which may be prismatic, too."""
@@ -258,7 +257,7 @@ class _Fitting:
 
     def finish(self, models: list[PixelChain]) -> PixelFit:
         """Fit all images, then without outliers, by the best of some models."""
-        inliers, (scale_px, _) = self._all, self._deviations_px(models[0])
+        inliers, scale_px = np.arange(len(self.pixels)), self._deviations_px(models[0])[0]
         for _ in range(2):
             images = _spread(inliers, _MOST_PIXELS // self.pixels.shape[1])
             optima = [self._descend(model, images, scale_px, _CONVERGED) for model in models]

@@ -160,8 +160,10 @@ def _of_several(
     """Networks of all cameras at once, distilled from a chain before each."""
     each = list[TrainedModel]()
     for camera, part in zip(data.cameras, data.parts, strict=True):
+        if say is not None:
+            say(f"camera {camera}")
         try:
-            each.append(train(part, options, say=say and _named(camera, say)))
+            each.append(train(part, options, say=say))
         except ValueError as error:
             raise TrainingError(f"{camera}: {error}") from error
     chains = (trained.chain for trained in each)
@@ -187,10 +189,6 @@ def _of_several(
         errors |= {f"{camera}_{name}": value for name, value in figures.items()}
         notes += [f"{camera}: {note}" for note in trained.notes]
     return replace(several, errors=errors, provenance={**several.provenance, "notes": notes})
-
-
-def _named(camera: str, say: Callable[[str], None]) -> Callable[[str], None]:
-    return lambda words: say(f"{camera}: {words}")
 
 
 def _fitted(
@@ -225,8 +223,9 @@ def _networks(
         say("training the networks")
     if pairs is None:
         assert fit is not None
-        good = fit.inliers(data)
-        trained_on = range_of(data.joints_rad[good], data.z[good], rng)
+        joints_rad = _joints_at_exposures(data, fit.time_offset_s)
+        good = fit.inliers(replace(data, joints_rad=joints_rad))
+        trained_on = range_of(joints_rad[good], data.z[good], rng)
         box_rad = trained_on["joint_box_rad"]
         return distil(fit.chain, box_rad, options.count, rng), trained_on, {}
     pairs.joints = _joints_at_exposures(data, fit.time_offset_s if fit is not None else 0.0)
