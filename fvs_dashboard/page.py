@@ -214,6 +214,8 @@ class Panel:
         else:
             signs.append(("○", picture.MEASURED_RGB, "as measured"))
         gui.add_html(markup.legend_html(signs))
+        if not self._kind.rigid:
+            self._add_undo()
         simulator = gui.add_folder("Simulator: disturb it", expand_by_default=False)
         with simulator:
             hint = "Times the depth camera's own noise."
@@ -252,13 +254,15 @@ class Panel:
             words = "sets the target", "track this"
             self._click = gui.add_dropdown("A click", words, hint=hint)
             self._next = gui.add_html("")
-            hint = "The detector looks for ball or tags again."
-            undo = gui.add_button("Track nothing", color="gray", hint=hint)
             fields = [
                 gui.add_vector2(f"{name} u, v (px)".strip(), (0.0, 0.0), step=0.1)
                 for name in self._kind.cameras
             ]
             self._add_go(fields, tour)
+
+    def _add_undo(self) -> None:
+        hint = "The detector looks for ball or tags again."
+        undo = self._gui.add_button("Track nothing", color="gray", hint=hint)
 
         @undo.on_click
         async def _(_event: viser.GuiEvent) -> None:
