@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from functools import cache
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Qos(Enum):
@@ -99,35 +99,24 @@ def kind_topics(
     sliding_type : str
         Message type of the sliding variable.
     """
-    name, description = tool
-    sources, users = (SIM, DETECTOR), (SIM, ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DASHBOARD)
+
+    def topic(name: str, description: str, publishers: tuple[str, ...], **more: Any) -> Topic:
+        return Topic(name, message_type, description, publishers, **more)
+
+    def truth(name: str) -> Topic:
+        words = f"The true `{name}`, for scoring."
+        return topic(f"{SIM}/true_{name}", words, (SIM,), subscribers=(DEMO,))
+
+    sources = SIM, DETECTOR
+    measured: dict[str, Any] = {
+        "subscribers": (SIM, ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DASHBOARD),
+        "also_from": "your own detector",
+    }
+    commanded: dict[str, Any] = {"also_from": "you", "offers": Qos.LATCHED, "asks": _EITHER}
     return KindTopics(
-        tool=Topic(
-            name,
-            message_type,
-            description,
-            sources,
-            users,
-            also_from="your own detector",
-        ),
-        target=Topic(
-            target[0],
-            message_type,
-            target[1],
-            (DEMO, DASHBOARD),
-            (CONTROLLER,),
-            also_from="you",
-            offers=Qos.LATCHED,
-            asks=_EITHER,
-        ),
-        object=Topic(
-            seen_object[0],
-            message_type,
-            seen_object[1],
-            sources,
-            users,
-            also_from="your own detector",
-        ),
+        tool=topic(*tool, sources, **measured),
+        target=topic(*target, (DEMO, DASHBOARD), subscribers=(CONTROLLER,), **commanded),
+        object=topic(*seen_object, sources, **measured),
         sliding=Topic(
             "sliding_variable",
             sliding_type,
@@ -135,20 +124,8 @@ def kind_topics(
             (CONTROLLER,),
             (ESTIMATOR,),
         ),
-        truth=Topic(
-            f"{SIM}/true_{name}",
-            message_type,
-            f"The true `{name}`, for scoring.",
-            (SIM,),
-            (DEMO,),
-        ),
-        object_truth=Topic(
-            f"{SIM}/true_{seen_object[0]}",
-            message_type,
-            f"The true `{seen_object[0]}`, for scoring.",
-            (SIM,),
-            (DEMO,),
-        ),
+        truth=truth(tool[0]),
+        object_truth=truth(seen_object[0]),
     )
 
 
