@@ -275,7 +275,7 @@ class World:
     def send_jacobian(self, message):
         """Send a Jacobian, m/rad."""
         self._note(JACOBIAN, _read(ros.from_jacobian, message, self.joints.size))
-        self.node._on_jacobian(message)
+        self.node.hears[topics.JACOBIAN.name](message)
 
     @property
     def singular_m_rad(self):
@@ -287,7 +287,7 @@ class World:
         """Send a kinematic chain: only one that cannot be read counts."""
         if _read(ros.from_chain, message, self.joints.size, self.node._kind) is None:
             self._note(JACOBIAN, None)
-        self.node._on_chain(message)
+        self.node.hears[topics.KINEMATIC_CHAIN.name](message)
 
     # ---- the operator -------------------------------------------------------------------------
 

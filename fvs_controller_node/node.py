@@ -27,7 +27,6 @@ from fvs_controller_node.relation import OBJECT_FRAME
 from fvs_controller_node.supervisor import Command
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
-from fvs_ros.kinds import Kind
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _NEVER_RAN = "no robot_program_running yet: start the robot program if the arm does not move"
@@ -77,22 +76,23 @@ class ControllerNode(ros.FvsNode):
         self._joints: np.ndarray | None = None
         self._sliding = self.publisher(self._kind.topics.sliding)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        parts, features = self._kind.parts, self._loop.supervisor.inputs.features
-        for camera, (part, name) in enumerate(zip(parts, features, strict=True)):
+        parts, inputs = self._kind.parts, self._loop.supervisor.inputs
+        for camera, (part, name) in enumerate(zip(parts, inputs.features, strict=True)):
             add_image = partial(self._loop.add_image, camera=camera)
-            self.subscribe(part.feature, partial(self._on_image, name, part, add_image))
+            self.subscribe_feature(part.feature, part, add_image, inputs[name].bad)
             # A latched target is heard twice.
             self.subscribe(part.topics.target, partial(self._on_target, camera=camera))
         if not self._kind.on_arm and len(parts) == 1:
-            add_object = partial(self._on_image, OBJECT, self._kind, self._loop.add_object)
-            self.subscribe(self._kind.topics.object, add_object)
-        self.subscribe(topics.JACOBIAN, self._on_jacobian)
-        self.subscribe(topics.KINEMATIC_CHAIN, self._on_chain)
+            seen, add_object = self._kind.topics.object, self._loop.add_object
+            self.subscribe_feature(seen, self._kind, add_object, inputs[OBJECT].bad)
+        take_jacobian = partial(self._on_arm, ros.from_jacobian, self._loop.add_jacobian)
+        self.subscribe(topics.JACOBIAN, take_jacobian)
+        take_chain = partial(self._on_arm, ros.from_chain, self._loop.add_chain)
+        self.subscribe(topics.KINEMATIC_CHAIN, take_chain)
         self.subscribe(topics.ESTIMATOR_STATUS, self._on_estimator_status)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
-        description = self._loop.supervisor.inputs[ROBOT_DESCRIPTION]
-        self._limits = ros.LimitsReader(self, self._take_limits, description.bad)
+        self._limits = ros.LimitsReader(self, self._take_limits, inputs[ROBOT_DESCRIPTION].bad)
         self.create_service(Trigger, "~/start", self._as_service(self._start))
         self.create_service(Trigger, "~/stop", self._as_service(self._loop.supervisor.stop))
         self.create_service(
@@ -126,26 +126,13 @@ class ControllerNode(ros.FvsNode):
                 self._joints = joints
         self._ticker.on_joint_state(now_s, stamp_s)
 
-    def _on_image(self, name: str, kind: Kind, add: Callable[..., None], message: Any) -> None:
-        now_s, monitor = self.now_s(), self._loop.supervisor.inputs[name]
-        try:
-            z = ros.from_feature(message, kind, self._frame, monitor.name)
-        except ros.MessageError as error:
-            monitor.bad(str(error))
-            return
-        add(now_s, ros.from_stamp(message.header.stamp), z)
-
-    def _on_jacobian(self, message: Float64MultiArray) -> None:
+    def _on_arm(
+        self, read: Callable[..., Any], add: Callable[..., None], message: Float64MultiArray
+    ) -> None:
+        """Take the Jacobian, or the chain."""
         now_s, joints = self.now_s(), len(self._joint_map.names)
         try:
-            self._loop.add_jacobian(now_s, ros.from_jacobian(message, joints, self._kind))
-        except ros.MessageError as error:
-            self._loop.supervisor.inputs[JACOBIAN].bad(str(error))
-
-    def _on_chain(self, message: Float64MultiArray) -> None:
-        now_s, joints = self.now_s(), len(self._joint_map.names)
-        try:
-            self._loop.add_chain(now_s, ros.from_chain(message, joints, self._kind))
+            add(now_s, read(message, joints, self._kind))
         except ros.MessageError as error:
             self._loop.supervisor.inputs[JACOBIAN].bad(str(error))
 

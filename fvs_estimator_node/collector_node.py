@@ -22,7 +22,6 @@ from fvs_estimator_node.collecting import PARAMETERS, CollectionRun, CollectorCo
 from fvs_estimator_node.files import data_set_of, save_data_set
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
-from fvs_ros.kinds import Kind
 
 _MIN_SAMPLES = 30
 _PUBLISHERS_PERIOD_S = 0.25
@@ -49,7 +48,8 @@ class CollectorNode(ros.FvsNode):
         self._joints: np.ndarray | None = None
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         for camera, part in enumerate(config.kind.parts):
-            self.subscribe(part.feature, partial(self._on_feature, camera, part))
+            take = partial(self._run.image, camera=camera)
+            self.subscribe_feature(part.feature, part, take, self._run.fail)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         ros.LimitsReader(self, self._take_limits, self._run.fail)
@@ -73,14 +73,6 @@ class CollectorNode(ros.FvsNode):
         self._joints = joints
         self._run.joint_states(now_s, stamp_s, joints)
         self._ticker.on_joint_state(now_s, stamp_s)
-
-    def _on_feature(self, camera: int, kind: Kind, message: Any) -> None:
-        try:
-            z = ros.from_feature(message, kind, self._config.feature_frame, kind.feature.name)
-        except ros.MessageError as error:
-            self._run.fail(str(error))
-            return
-        self._run.image(self.now_s(), ros.from_stamp(message.header.stamp), z, camera)
 
     def _on_program_running(self, message: Bool) -> None:
         if not message.data:

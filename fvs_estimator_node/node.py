@@ -7,7 +7,6 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -21,7 +20,6 @@ from fvs_estimator_node.loop import FRESH_S, EstimationLoop
 from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
-from fvs_ros.kinds import Kind
 from fvs_ros.paths import find_file
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 from fvs_ros.vectors import all_finite
@@ -53,7 +51,8 @@ class EstimatorNode(ros.FvsNode):
         self._chain = self.publisher(topics.KINEMATIC_CHAIN)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         for camera, part in enumerate(self._kind.parts):
-            self.subscribe(part.feature, partial(self._on_feature, camera, part))
+            take = partial(self._on_feature, camera)
+            self.subscribe_feature(part.feature, part, take, self._complain)
         self.subscribe(self._kind.topics.sliding, self._on_sliding)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
@@ -110,18 +109,13 @@ class EstimatorNode(ros.FvsNode):
             self._complain(str(error))
             return
         self._joints_s, self._stamp_s = self.now_s(), stamp_s
-        self._learn(self._loop.add_joints, stamp_s, joints)
+        self._loop.learns = self._learns
+        self._loop.add_joints(stamp_s, joints)
         self._publish_estimate(stamp_s, joints)
 
-    def _on_feature(self, camera: int, kind: Kind, message: Any) -> None:
-        frame = self._config.feature_frame
-        try:
-            z = ros.from_feature(message, kind, frame, kind.feature.name)
-        except ros.MessageError as error:
-            self._complain(str(error))
-            return
-        add = partial(self._loop.add_image, camera=camera)
-        self._learn(add, ros.from_stamp(message.header.stamp), z)
+    def _on_feature(self, camera: int, _now_s: float, stamp_s: float, z: np.ndarray) -> None:
+        self._loop.learns = self._learns
+        self._loop.add_image(stamp_s, z, camera)
 
     def _on_sliding(self, message: Any) -> None:
         header = getattr(message, "header", None)  # not every kind's has one
@@ -140,15 +134,14 @@ class EstimatorNode(ros.FvsNode):
     def _on_program_running(self, message: Bool) -> None:
         self._program_running = message.data
 
+    @property
     def _paused(self) -> bool:
         """Whether the robot is paused, so that it does not follow the commands."""
         return not self._program_running or not self._speed_scaling > 0.0
 
-    def _learn(
-        self, take: Callable[[float, np.ndarray], None], stamp_s: float, values: np.ndarray
-    ) -> None:
-        self._loop.learns = not (self._frozen or self._paused())
-        take(stamp_s, values)
+    @property
+    def _learns(self) -> bool:
+        return not (self._frozen or self._paused)
 
     # --- output ---
 
@@ -197,7 +190,7 @@ class EstimatorNode(ros.FvsNode):
             return ros.WARN, ESTIMATOR_WAITING, waiting
         if self._frozen:
             return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
-        if self._paused():
+        if self._paused:
             return ros.OK, "FROZEN", "the robot is paused: learning stops until it resumes"
         learns = self._loop.estimator.learns
         usual = "and learning from every motion" if learns else "this method does not learn online"

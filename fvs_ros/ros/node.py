@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import (
@@ -31,9 +32,19 @@ from sensor_msgs.msg import Image
 
 from fvs_ros import topics
 from fvs_ros.clock import LoopClock
+from fvs_ros.kinds import Kind
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.ros.inputs import MOST_ITEMS, ArrivalMonitor, check_request, unpacked
-from fvs_ros.ros.messages import OK, WARN, MessageError, plain, to_stamp, to_status
+from fvs_ros.ros.messages import (
+    OK,
+    WARN,
+    MessageError,
+    from_feature,
+    from_stamp,
+    plain,
+    to_stamp,
+    to_status,
+)
 from fvs_ros.ros.qos import PROFILES, QOS_LATCHED
 from fvs_ros.topics import Topic, message_class
 
@@ -254,6 +265,29 @@ class FvsNode(Node):
         """Watch a topic with the type and, unless given, the quality of service declared for it."""
         for profile in [qos] if qos else [PROFILES[asked] for asked in topic.asks]:
             self.watch(message_class(topic.type), topic.name, callback, profile)
+
+    def subscribe_feature(
+        self,
+        topic: Topic,
+        kind: Kind,
+        take: Callable[[float, float, np.ndarray], None],
+        refuse: Callable[[str], None],
+    ) -> None:
+        """Watch what is measured in the frame ``feature_frame``.
+
+        ``take`` its arrival and its exposure, s, and z, (m,); ``refuse`` says why it is none.
+        """
+
+        def on_feature(message: Any) -> None:
+            now_s = self.now_s()
+            try:
+                z = from_feature(message, kind, self.values["feature_frame"], topic.name)
+            except MessageError as error:
+                refuse(str(error))
+            else:
+                take(now_s, from_stamp(message.header.stamp), z)
+
+        self.subscribe(topic, on_feature)
 
     def publisher(self, topic: Topic) -> Publisher:
         """Make a publisher with the type and the quality of service that are declared for it."""
