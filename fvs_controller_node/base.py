@@ -69,14 +69,8 @@ class ControlOutput(NamedTuple):
 class ControlLaw(ABC):
     """Turns an error and a Jacobian into joint velocities.
 
-    A new law is one file here and one line in :mod:`fvs_controller_node.config`.
-
-    Parameters
-    ----------
-    gains : Parameters, optional
-        The law's parameters, a ``Gains``.
-    inverse : DampedInverse, optional
-        From feature velocity to joint velocities.
+    A new law is one file here and one line in :mod:`fvs_controller_node.config`. ``gains`` are its
+    parameters, a ``Gains``, ``inverse`` leads from feature velocity to joint velocities.
     """
 
     #: Whether the law brakes for the target itself. It then uses a chain where there is one, and

@@ -74,7 +74,7 @@ class ServoLoop:
         #: That of the law, m, (d,), at the first tick after an image; else None.
         self.sliding_variable: np.ndarray | None = None
         self._joints: np.ndarray | None = None
-        self._jacobian: np.ndarray | None = None
+        self.jacobian: np.ndarray | None = None  #: the one in use, m/rad, (d, n)
         #: Parts of targets, by their camera, until each camera has given one.
         self._parts: dict[int, np.ndarray] = {}
         self._home: np.ndarray | None = None  # joints at the last start
@@ -115,10 +115,10 @@ class ServoLoop:
         joints = self._backlash.joints(joints, self._play_rad)
         self._joints = self._drive_lag.add(stamp_s, velocity, joints, compare)
         if self._chain is not None:
-            self._jacobian = self.kind.along(self._chain, self._joints)[1]
+            self.jacobian = self.kind.along(self._chain, self._joints)[1]
         for eye, rows in zip(self.eyes, self.kind.rows, strict=True):
             eye.judge()  # one joint state later: no tick has all of an image's work
-            jacobian = None if self._jacobian is None else self._jacobian[rows]
+            jacobian = None if self.jacobian is None else self.jacobian[rows]
             self._accept(eye, eye.track.add_joints(stamp_s, self._joints, jacobian))
 
     def bad_joints(self, why: str) -> None:
@@ -226,7 +226,7 @@ class ServoLoop:
         inputs, max_age_s = self.supervisor.inputs, self.supervisor.config.jacobian_max_age_s
         if inputs.add(JACOBIAN, now_s, jacobian) and now_s - self._chain_s > max_age_s:
             self._chain = None
-            self._jacobian = self.kind.possible(np.array(jacobian, dtype=float))
+            self.jacobian = self.kind.possible(np.array(jacobian, dtype=float))
 
     def add_chain(self, now_s: float, chain: AnyChain) -> None:
         """Take the arm as the camera sees it now, and its arrival; it gives the Jacobian.
@@ -348,11 +348,6 @@ class ServoLoop:
 
     # ---- the tick -----------------------------------------------------------------------------
 
-    @property
-    def jacobian(self) -> np.ndarray | None:
-        """The Jacobian in use, m/rad, shape (d, n), or None; a copy."""
-        return None if self._jacobian is None else self._jacobian.copy()
-
     def tick(self, now_s: float, dt_s: float) -> Command:
         """Decide on the command for this tick.
 
@@ -403,9 +398,9 @@ class ServoLoop:
     @property
     def _counted(self) -> np.ndarray | None:
         """The Jacobian, (d, n), without what a camera that is lost would see."""
-        if self._jacobian is None or not self._blind:
-            return self._jacobian
-        counted = self._jacobian.copy()
+        if self.jacobian is None or not self._blind:
+            return self.jacobian
+        counted = self.jacobian.copy()
         for i in self._blind:
             counted[self.kind.rows[i]] = 0.0
         return counted

@@ -12,7 +12,6 @@ import numpy as np
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_ros.filter import Image
 from fvs_ros.interface import Backlash
-from fvs_ros.kinds import Kind
 from fvs_ros.track import Track
 from fvs_ros.vectors import all_finite, largest
 
@@ -21,14 +20,6 @@ from fvs_ros.vectors import all_finite, largest
 _MIN_STEP_RAD, _MAX_STEP_S = 0.01, 0.5
 #: Largest age of an input, s; an older sliding variable counts as zero.
 FRESH_S = 0.2
-
-
-class _Camera:
-    """What one camera has shown."""
-
-    def __init__(self, kind: Kind) -> None:
-        self.track = Track(kind)
-        self.anchor: Image | None = None  # where the present step began
 
 
 class EstimationLoop:
@@ -43,9 +34,8 @@ class EstimationLoop:
         self.estimator, self.kind = estimator, estimator.kind
         self._backlash = Backlash()
         self.learns = True  #: off, the estimator learns nothing
-        self._cameras = [_Camera(part) for part in self.kind.parts]
         #: Pair the images of each camera with joints, and judge them.
-        self.tracks = [camera.track for camera in self._cameras]
+        self.tracks = [Track(part) for part in self.kind.parts]
         self._forget()
 
     def reset(self) -> None:
@@ -57,8 +47,8 @@ class EstimationLoop:
     def _forget(self) -> None:
         self.steps = 0  #: how many it learned from
         self._jacobian: np.ndarray | None = None  # the newest
-        for camera in self._cameras:
-            camera.anchor = None
+        #: Where the present step of each camera began.
+        self._anchors: list[Image | None] = [None for _ in self.tracks]
         self._sliding: tuple[float, np.ndarray] | None = None
 
     # --- inputs ---
@@ -130,24 +120,23 @@ class EstimationLoop:
                 estimator.update(step)
                 self.steps += 1
 
-    def _step(self, index: int, image: Image) -> MotionStep | None:
+    def _step(self, camera: int, image: Image) -> MotionStep | None:
         """The step that an image of a camera completes, if it does."""
-        camera = self._cameras[index]
-        anchor = camera.anchor
+        anchor = self._anchors[camera]
         if (
             anchor is None
             or image.run != anchor.run
             or image.stamp_s - anchor.stamp_s > _MAX_STEP_S
         ):
-            camera.anchor = image
+            self._anchors[camera] = image
             return None
         d_joints = image.joints_rad - anchor.joints_rad
         if largest(d_joints) < _MIN_STEP_RAD:
             return None
-        camera.anchor = image
+        self._anchors[camera] = image
         sliding: np.ndarray | float = 0.0
         if self._sliding and abs(image.stamp_s - self._sliding[0]) <= FRESH_S:
-            sliding = self._sliding[1][self.kind.rows[index]]
+            sliding = self._sliding[1][self.kind.rows[camera]]
         return MotionStep(
             stamp_s=image.stamp_s,
             dt_s=image.stamp_s - anchor.stamp_s,

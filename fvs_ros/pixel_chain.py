@@ -78,25 +78,31 @@ class Webcam:
         return factor * ray + self.centre_px, by_point, by_lens
 
 
-@dataclass(frozen=True)
-class PixelChain:
-    """A chain that carries points, and the lens through which they are seen.
+class _Pixels:
+    """What answers as a :class:`~fvs_ros.chain.SerialChain` whose feature are pixels, (m,)."""
 
-    It answers as a :class:`~fvs_ros.chain.SerialChain` whose feature are the pixels, (m,), point by
-    point, u then v.
-
-    Parameters
-    ----------
-    chain : SerialChain
-        In the camera's frame; it carries a point, and the ways from there to the others.
-    webcam : Webcam
-        Of the camera.
-    """
-
-    chain: SerialChain
-    webcam: Webcam
     #: As of a serial chain: its camera is as good as declared.
     lens: ClassVar[np.ndarray] = np.zeros(2)
+
+    def position_and_jacobian(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The pixels, (..., m), and their Jacobian, px/rad, (..., m, n), at joints, (..., n)."""
+        raise NotImplementedError
+
+    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The Jacobian, px/rad, (..., m, n), at joints, rad, (..., n)."""
+        return self.position_and_jacobian(joints_rad)[1]
+
+
+@dataclass(frozen=True)
+class PixelChain(_Pixels):
+    """A chain that carries points, and the lens through which they are seen.
+
+    The pixels are point by point, u then v.
+    """
+
+    #: In the camera's frame; it carries a point, and the ways from there to the others.
+    chain: SerialChain
+    webcam: Webcam
 
     @property
     def play_rad(self) -> np.ndarray:
@@ -126,28 +132,16 @@ class PixelChain:
         *outer, joints = joints_rad.shape
         return pixels.reshape(*outer, -1), jacobian.reshape(*outer, -1, joints)
 
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """The Jacobian, px/rad, (..., m, n), at joints, rad, (..., n)."""
-        return self.position_and_jacobian(joints_rad)[1]
-
 
 @dataclass(frozen=True)
-class PixelChains:
+class PixelChains(_Pixels):
     """One arm before several webcams, a chain for each: their scales differ.
 
-    It answers as a :class:`PixelChain` whose pixels are those of all, camera by camera.
-
-    Parameters
-    ----------
-    each : tuple of PixelChain
-        Of each camera.
-    blind : tuple of int
-        Cameras that do not count now: their pixels stay at 0.
+    The pixels are those of all, camera by camera.
     """
 
-    each: tuple[PixelChain, ...]
-    blind: tuple[int, ...] = ()
-    lens: ClassVar[np.ndarray] = np.zeros(2)
+    each: tuple[PixelChain, ...]  #: of each camera
+    blind: tuple[int, ...] = ()  #: cameras that do not count now: their pixels stay at 0
 
     @property
     def play_rad(self) -> np.ndarray:
@@ -174,10 +168,6 @@ class PixelChains:
             *(chain.position_and_jacobian(joints_rad) for chain in self.each), strict=True
         )
         return self._counted(pixels, -1), self._counted(jacobians, -2)
-
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """The Jacobian, px/rad, (..., m, n), at joints, rad, (..., n)."""
-        return self.position_and_jacobian(joints_rad)[1]
 
     def _counted(self, parts: Sequence[np.ndarray], axis: int) -> np.ndarray:
         counted = [np.zeros_like(part) if i in self.blind else part for i, part in enumerate(parts)]

@@ -160,16 +160,13 @@ def to_chain(chain: AnyChain) -> Float64MultiArray:
 
 def _rows_of(chain: SerialChain | PixelChain) -> np.ndarray:
     arm, webcam = (chain, None) if isinstance(chain, SerialChain) else (chain.chain, chain.webcam)
-    joints, carried = len(arm.axes), arm.feature_m.reshape(-1, 3)
-    rows = np.zeros((joints + len(carried) + (webcam is not None), _CHAIN_COLUMNS))
     joint = np.column_stack([arm.reference_rad, arm.prismatic, arm.play_rad])
-    rows[:joints] = np.hstack([arm.axes, arm.points_m, joint])
-    after = joints + len(carried)
-    rows[joints:after, :3], rows[joints, 3:5] = carried, arm.lens
-    rows[joints, 5] = arm.on_arm
+    joints, carried = np.hstack([arm.axes, arm.points_m, joint]), arm.feature_m.reshape(-1, 3)
+    rows = np.zeros((len(carried) + (webcam is not None), _CHAIN_COLUMNS))
+    rows[: len(carried), :3], rows[0, 3:6] = carried, [*arm.lens, arm.on_arm]
     if webcam is not None:
-        rows[after, : len(webcam.numbers)] = webcam.numbers
-    return rows
+        rows[-1, : len(webcam.numbers)] = webcam.numbers
+    return np.concatenate([joints, rows])
 
 
 def from_chain(message: Float64MultiArray, joints: int, kind: Kind = _BALL) -> AnyChain:
