@@ -43,6 +43,8 @@ _MODEL: dict[str, tuple[int | str, ...]] = {
 }
 _NETWORKS = ("centres", "widths", "weights")
 _CHAIN = {f"chain_{name}": name for name in CHAIN_SHAPES}
+#: What older files lack, as it was then.
+_OLDER = {"feature": KindConfig.feature, "camera_mount": FIXED, "cameras": (UNNAMED,)}
 
 
 class FileError(ValueError):
@@ -428,25 +430,20 @@ class _Content(dict[str, Any]):
         version = self["version"].tolist()
         if version != _VERSION:
             raise ValueError(f"{kind} version {version!r}, this program reads version {_VERSION}")
-        names, frame = self.texts("joint_names"), self.text("feature_frame")
+        names = self.texts("joint_names")
         quoted = str(list(names))[:_LONGEST_QUOTE]
         if not names or len(set(names)) != len(names):
             raise ValueError(f"names the joints {quoted}, expected different names")
         if joint_names is not None and names != tuple(joint_names):
             raise ValueError(f"joint order {quoted}, expected {list(joint_names)}")
-        feature = self.text("feature") if "feature" in self else KindConfig.feature
-        if feature not in KINDS:
-            raise ValueError(f"made for feature {feature!r}, expected {', '.join(KINDS)}")
-        mount = self.text("camera_mount") if "camera_mount" in self else FIXED
-        if mount not in MOUNTS:
-            raise ValueError(f"made for camera_mount {mount!r}, expected {', '.join(MOUNTS)}")
-        self.common: dict[str, Any] = {
-            "joint_names": names,
-            "feature_frame": frame,
-            "feature": feature,
-            "camera_mount": mount,
-            "cameras": self.texts("cameras") if "cameras" in self else (UNNAMED,),
-        }
+        for name, value in _OLDER.items():
+            self.setdefault(name, np.array(value))
+        self.common: dict[str, Any] = {"joint_names": names, "cameras": self.texts("cameras")}
+        known = {"feature": KINDS, "camera_mount": MOUNTS, "feature_frame": ()}
+        for name, choices in known.items():
+            text = self.common[name] = self.text(name)
+            if choices and text not in choices:
+                raise ValueError(f"made for {name} {text!r}, expected {', '.join(choices)}")
 
     def chain(self) -> SerialChain | PixelChains:
         """The chain, or those before each webcam, one after the other in every array."""
