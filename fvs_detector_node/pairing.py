@@ -25,12 +25,9 @@ class Pairing:
 
     def __init__(self, tolerance_s: float, needs_depth: bool = True) -> None:
         self._tolerance_s, self._needs_depth = tolerance_s, needs_depth
-        #: How often the clock was set back; earlier pairs have another time base.
-        self.restarts = -1
         self._restart()
 
     def _restart(self) -> None:
-        self.restarts += 1
         # Not paired yet, oldest first: 0.2 s at 30 Hz.
         self._waiting: dict[str, deque[tuple[float, Any]]] = {
             name: deque(maxlen=6) for name in ("colour", "depth")
