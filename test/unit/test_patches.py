@@ -91,12 +91,24 @@ def test_a_covered_patch_is_lost_and_found_only_where_it_is_itself():
         assert "is lost" in look(detector, scene.draw(away)).problem
 
 
+def test_a_patch_that_is_covered_little_by_little_is_lost_before_it_is_off():
+    scene, px = Scene(2), np.array([160.0, 120.0])
+    detector, cover = tracker(*px), scene.draw([0.0, 0.0])
+    for edge in range(140, 180):
+        image = scene.draw(px)
+        image[:, :edge] = cover[:, 320 - edge :]
+        sighting = look(detector, image)
+        if sighting.detection is not None:
+            np.testing.assert_allclose(sighting.detection.px[0], px, atol=1.0)
+    assert sighting.detection is None
+
+
 def test_of_two_that_look_alike_the_one_that_was_chosen_is_followed():
     scene, start = Scene(3), np.array([100.0, 120.0])
     detector = tracker(*start)
     for k in range(60):
         middle = start + [2.0 * k, 0.0]
-        found = look(detector, scene.draw([[160.0, 60.0], [160.0, 180.0], middle])).detection
+        found = look(detector, scene.draw([[160.0, 76.0], [160.0, 164.0], middle])).detection
         np.testing.assert_allclose(found.px[0], middle, atol=0.3)
     look(detector, scene.draw(middle, cover=True))
     both = [middle + [-34.0, 0.0], middle + [34.0, 0.0]]
