@@ -202,7 +202,7 @@ METRICS = {
     "within": Metric("within the corrected"),
     "printed_kept": Metric("within the printed"),
     "t1_m": Metric("T1, mm", 1e3, 3),
-    "t1_px": Metric("T1, px"),
+    "t1_px": Metric("T1, px", 1.0, 3),
     "rest_px": Metric("final error, px"),
     "focal": Metric("focal length, %", 1e2),
     "k1_off": Metric("error of k1", 1.0, 4),
