@@ -41,6 +41,12 @@ class Verdict(NamedTuple):
     #: 1 no better than predicting rest, 2 the opposite.
     error_ratio: float
     time_s: float  #: within this time
+    camera: str = ""  #: whose images these are, if it has a name
+
+    @property
+    def of(self) -> str:
+        """Of which camera, in words; empty for one without a name."""
+        return f" of {self.camera}" if self.camera else ""
 
 
 class Agreement:

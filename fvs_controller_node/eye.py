@@ -17,6 +17,7 @@ class Eye:
         self.agreement = Agreement()  #: of the feature with the arm's motion
         self.last_second = LastSecond(kind)  #: for teaching
         self.image_s: float | None = None  #: stamp of its newest image
+        self.late_s = 0.0  #: how late its images are stamped, where a chain tells, s
         self._unjudged: list[Image] = []
 
     def restart(self) -> None:

@@ -157,6 +157,7 @@ class Goal:
         #: Feature and target that the error was found for.
         self._error_of: tuple[np.ndarray | None, np.ndarray | None] = None, None
         self._error_m: np.ndarray | None = None
+        self._parts: list[np.ndarray | None] = [None for _ in config.kind.parts]
 
     def configure(self, config: SupervisorConfig) -> None:
         """Change the settings; a target that a new box leaves outside is dropped."""
@@ -167,9 +168,23 @@ class Goal:
 
     def forget(self) -> None:
         """Have no target; the next one is another task, wherever it is."""
-        self.target = None
+        self.target, self._parts = None, [None for _ in self._parts]
         self._followed.forget()
         self.progress = Progress()
+
+    def whole(self, part: np.ndarray, camera: int) -> np.ndarray | None:
+        """The target, (m,), with a camera's new part; None while another camera has none."""
+        if self.target is not None:
+            self._parts = [self.target[rows] for rows in self._config.kind.rows]
+        self._parts[camera] = part
+        known = [each for each in self._parts if each is not None]
+        return np.concatenate(known) if len(known) == len(self._parts) else None
+
+    @property
+    def awaited(self) -> str:
+        """Topics on which there is no target yet, in words."""
+        parts = zip(self._parts, self._config.kind.parts, strict=True)
+        return " and ".join(kind.topics.target.name for part, kind in parts if part is None)
 
     @property
     def rests(self) -> bool:
@@ -262,4 +277,4 @@ class Goal:
         ]
         if outside:
             return f"{', '.join(outside)} (workspace_min_m and workspace_max_m)"
-        return config.out_of_view(kind, target) if kind.on_arm else ""
+        return config.out_of_view(kind, target) if kind.on_arm else kind.unseen(target)

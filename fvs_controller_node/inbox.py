@@ -152,6 +152,8 @@ class Inbox:
         for name in (*self.features, OBJECT):
             self[name].slow_s = MAX_LATENCY_S  # longer, none is predicted
         self[OBJECT].needed = False
+        #: Cameras that do not count now, as another sees, and why, where that is not their age.
+        self.lost: dict[int, str] = {}
         self._conflict: Finding | None = None  # with another node, and when it commanded last
         self._conflict_s = -inf
         self._program_running: bool | None = None  # never reported
@@ -219,8 +221,7 @@ class Inbox:
 
     def find(self, now_s: float) -> Finding | None:
         """Find what is wrong with the inputs now, worst first."""
-        lost = [self.features[camera] for camera in self.lost(now_s)]
-        troubles = self._troubles(now_s, but=lost)
+        troubles = self._troubles(now_s, but=[self.features[camera] for camera in self.lost])
         # What must stop at once comes before a conflict, in which the arm may ramp to rest.
         findings = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
         findings += self._pauses
@@ -229,12 +230,12 @@ class Inbox:
         findings += troubles
         return findings[0] if findings else None
 
-    def lost(self, now_s: float) -> list[int]:
-        """Cameras that have fallen silent while another sees: they do not count."""
-        found = [self[name].find(now_s) for name in self.features]
-        silent = Reason.STALE, Reason.RETURNING
-        lost = [i for i, finding in enumerate(found) if finding and finding.reason in silent]
-        return lost if None in found else []
+    def silent(self, camera: int, now_s: float) -> bool:
+        """Whether a camera has fallen silent, or is not back yet."""
+        monitor = self[self.features[camera]]
+        finding = monitor.find(now_s)
+        bad = finding is not None and finding.reason is Reason.BAD_INPUT
+        return monitor.late(now_s) if bad else finding is not None
 
     def late(self, now_s: float) -> str:
         """The first fault in age or content of all messages but an object's; empty if fresh."""
@@ -257,9 +258,10 @@ class Inbox:
 
     def hidden(self, now_s: float) -> str:
         """That an object is hidden, or a camera is lost, and what counts; empty if neither is."""
-        for camera in self.lost(now_s):
+        for camera, why in self.lost.items():
             feature = self[self.features[camera]]
-            return f"{feature.name} is {feature.age_s(now_s):.1f} s old: the other cameras count"
+            old = f"{feature.name} is {feature.age_s(now_s):.1f} s old"
+            return f"{why or old}: the other cameras count"
         monitor, age_s = self[OBJECT], self[OBJECT].age_s(now_s)
         if not (monitor.needed and monitor.late(now_s)) or monitor.find(now_s) is not None:
             return ""

@@ -52,7 +52,6 @@ class ServoLoop:
         self.supervisor = Supervisor(SupervisorConfig.from_values(values))
         self.kind = self.supervisor.config.kind
         self.eyes = [Eye(part) for part in self.kind.parts]  #: what each camera shows
-        self._blind: tuple[int, ...] = ()  # cameras that are lost while another sees
         self._drive_lag, self._following = DriveLag(), Following()
         self._backlash, self._play_rad = Backlash(), np.zeros(1)
         self._lens = Lens(self.kind)
@@ -75,8 +74,6 @@ class ServoLoop:
         self.sliding_variable: np.ndarray | None = None
         self._joints: np.ndarray | None = None
         self.jacobian: np.ndarray | None = None  #: the one in use, m/rad, (d, n)
-        #: Parts of targets, by their camera, until each camera has given one.
-        self._parts: dict[int, np.ndarray] = {}
         self._home: np.ndarray | None = None  # joints at the last start
 
     def configure(self, values: Mapping[str, Any]) -> None:
@@ -140,7 +137,7 @@ class ServoLoop:
             inputs[name].stuck(now_s)
             return
         if inputs.add(name, now_s, z):
-            self._accept(eye, eye.track.add_image(stamp_s, z))
+            self._accept(eye, eye.track.add_image(stamp_s - eye.late_s, z))
 
     def _is_frozen(self, z: np.ndarray) -> bool:
         """Whether the arm has moved, and what it measures stays the same to the last digit."""
@@ -234,6 +231,9 @@ class ServoLoop:
         The Jacobian that comes with it counts as the message.
         """
         self._chain, self._chain_s, self._lens.error = chain, now_s, chain.lens
+        if isinstance(chain, PixelChains):
+            for eye, of_eye in zip(self.eyes, chain.each, strict=True):
+                eye.late_s = of_eye.webcam.late_s
         self._play_rad = chain.play_rad
 
     # ---- the target ---------------------------------------------------------------------------
@@ -243,19 +243,12 @@ class ServoLoop:
     ) -> tuple[bool, str]:
         """Take a target, (m,), or a camera's part of one; one that is updated often moves.
 
-        Of parts, the target is set once each camera has given one since the last. In the frame
-        ``object`` it is relative to the object. A stamp (s; 0 for now) says when it was there, on
-        the clock of the joint states. The answer is the supervisor's: see
-        :meth:`~fvs_controller_node.goal.Goal.set`.
+        A part replaces that of the present target; without one, each camera has to give its own
+        first. In the frame ``object`` it is relative to the object. A stamp (s; 0 for now) says
+        when it was there, on the clock of the joint states. The answer is the supervisor's: see
+        :meth:`~fvs_controller_node.goal.Goal.set`; without a text while parts are awaited.
         """
         there_s = on_own_clock(stamp_s, self._stamp_s)
-        if camera is not None:
-            self._parts[camera] = z
-            names = [part.topics.target.name for part in self.kind.parts]
-            missing = [name for i, name in enumerate(names) if i not in self._parts]
-            if missing:
-                return True, f"target: {' and '.join(missing)} still to come"
-            z, self._parts = np.concatenate([self._parts[i] for i in range(len(names))]), {}
         if frame == OBJECT_FRAME and self.kind.on_arm:
             z = self._lens.measured(self.kind.inverse(z))
             frame = self.supervisor.config.feature_frame
@@ -263,6 +256,11 @@ class ServoLoop:
             return False, "target refused: one relative to an object is of a single camera"
         elif frame == OBJECT_FRAME:
             return self._set_relation(z)
+        elif camera is not None:
+            whole = self.supervisor.goal.whole(z, camera)
+            if whole is None:
+                return True, ""
+            z = whole
         accepted, text = self._set_target(z, frame, there_s, self._stamp_s - there_s)
         if accepted:
             self._be_relative_to_object(None)
@@ -382,7 +380,8 @@ class ServoLoop:
             _, drift_m, self._drift_m_s = self._drift.at(self._stamp_s)
         if self._drift_m_s is None or not self._drift_m_s.any():
             drift_m = self._drift_m_s = None
-        z = self._now(now_s, drift_m)
+        z = self._look(now_s, drift_m)
+        problems = (eye.track.problem for eye in self.eyes)
         return Present(
             joints_rad=self._joints,
             z=z,
@@ -390,7 +389,7 @@ class ServoLoop:
             pending_rad=self._drive_lag.pending_rad,
             freedom=min(self.kind.freedom, len(self._seeing) * self.kind.parts[0].size),
             drift_m_s=self._drift_m_s,
-            problem="" if z is not None else max(eye.track.problem for eye in self.eyes),
+            problem="" if z is not None else next(filter(None, problems), ""),
             verdict=self._verdict,
             not_following=self._following.fault,
         )
@@ -398,40 +397,53 @@ class ServoLoop:
     @property
     def _counted(self) -> np.ndarray | None:
         """The Jacobian, (d, n), without what a camera that is lost would see."""
-        if self.jacobian is None or not self._blind:
+        lost = self.supervisor.inputs.lost
+        if self.jacobian is None or not lost:
             return self.jacobian
         counted = self.jacobian.copy()
-        for i in self._blind:
+        for i in lost:
             counted[self.kind.rows[i]] = 0.0
         return counted
 
     @property
     def _seeing(self) -> list[Eye]:
         """The cameras that are not lost."""
-        return [eye for i, eye in enumerate(self.eyes) if i not in self._blind]
+        return [eye for i, eye in enumerate(self.eyes) if i not in self.supervisor.inputs.lost]
 
     @property
     def _verdict(self) -> Verdict | None:
         """The worst of the cameras that see; None while too little moved."""
-        verdicts = [each for each in (eye.agreement.verdict for eye in self._seeing) if each]
+        verdicts = [
+            eye.agreement.verdict._replace(camera=eye.track.kind.cameras[0])
+            for eye in self._seeing
+            if eye.agreement.verdict is not None
+        ]
         follows = [(each.seen_share >= LEAST_SEEN, -each.error_ratio, each) for each in verdicts]
         return min(follows)[-1] if follows else None
 
-    def _now(self, now_s: float, drift_m: np.ndarray | None) -> np.ndarray | None:
-        """The feature now, (m,); a camera that is lost while another sees shows what is wanted."""
+    def _look(self, now_s: float, drift_m: np.ndarray | None) -> np.ndarray | None:
+        """Find which cameras are lost, and the feature now, (m,); None if it is unknown.
+
+        In a session, one that is silent or cannot be paired is lost while another sees: it counts
+        as if it showed what is wanted. To start, all must see.
+        """
         shown = [eye.track.now(drift_m) for eye in self.eyes]
-        if len(shown) == 1:
-            return shown[0]
-        lost = self.supervisor.inputs.lost(now_s)
-        blind = tuple(i for i, z in enumerate(shown) if z is None or i in lost)
-        blind = blind if len(blind) < len(shown) else ()
-        if blind != self._blind:
-            self._blind, goal = blind, self.supervisor.goal
+        inputs, goal = self.supervisor.inputs, self.supervisor.goal
+        target = goal.target
+        lost = {
+            i: self.eyes[i].track.problem
+            for i, z in enumerate(shown)
+            if z is None or inputs.silent(i, now_s)
+        }
+        if not self.supervisor.started or target is None or len(lost) == len(shown):
+            lost = {}
+        if lost.keys() != inputs.lost.keys():
             goal.progress.restart()  # the error is another one
             self._note(Change.TARGET)
-        target = self.supervisor.goal.target
-        for i in blind:
-            shown[i] = None if target is None else target[self.kind.rows[i]]
+        inputs.lost = lost
+        for i in lost:
+            assert target is not None
+            shown[i] = target[self.kind.rows[i]]
         known = [z for z in shown if z is not None]
         return np.concatenate(known) if len(known) == len(shown) else None
 
@@ -473,8 +485,9 @@ class ServoLoop:
         if self._home is None:
             self._home = joints
         chain = self._chain
-        if self._blind and isinstance(chain, PixelChains):
-            chain = replace(chain, blind=self._blind)
+        lost = self.supervisor.inputs.lost
+        if lost and isinstance(chain, PixelChains):
+            chain = replace(chain, blind=tuple(lost))
         error_m = error_m + jacobian.dot(present.pending_rad)
         feed_forward = None
         velocity_m_s = goal.velocity_m_s

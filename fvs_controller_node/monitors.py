@@ -49,6 +49,7 @@ class PredictionMonitor:
         text = config.kind.length_text
         if verdict is not None and verdict.seen_share < LEAST_SEEN:
             return Reason.IMAGE_NOT_FOLLOWING.because(
+                of=verdict.of,
                 time_s=verdict.time_s,
                 predicted=text(verdict.predicted_m),
                 seen=text(verdict.seen_share * verdict.predicted_m),
@@ -60,6 +61,7 @@ class PredictionMonitor:
         if self._mispredicted_m < config.prediction_hold_m:
             return None
         return Reason.PREDICTION_ERROR.because(
+            of=verdict.of,
             value=verdict.error_ratio,
             limit=config.prediction_hold,
             distance=text(config.prediction_hold_m),

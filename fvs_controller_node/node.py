@@ -59,9 +59,9 @@ class ControllerNode(ros.FvsNode):
         self._loop = ServoLoop(v)
         self._kind = self._loop.kind
         self._stamp_s: float | None = None
-        #: The last samples of targets, of all publishers together.
-        self._heard_targets = deque[tuple]([()], maxlen=16)
-        self._heard_target_s = -np.inf
+        #: Of each camera, the last samples of targets, of all publishers together, and when.
+        self._heard_targets = [deque[tuple]([()], maxlen=16) for _ in self._kind.parts]
+        self._heard_target_s = [-np.inf for _ in self._kind.parts]
         self._refusal = ""
         self._conflicting = ""
         self._silence = ""  # of a driver that has never said whether the robot program runs
@@ -151,21 +151,21 @@ class ControllerNode(ros.FvsNode):
             self.tell(ros.WARN, self._refusal)
             return
         stamp_s = ros.from_stamp(message.header.stamp)
-        heard = (camera, *target.tolist(), stamp_s, frame)
+        heard = (*target.tolist(), stamp_s, frame)
         # Latched samples arrive twice, and again whenever the publisher is rediscovered: they must
         # not undo a newer target. Without a stamp (`ros2 topic pub`) only an immediate echo counts.
-        soon = now_s - self._heard_target_s < _TARGET_ECHO_S
-        targets = self._heard_targets
+        soon = now_s - self._heard_target_s[camera] < _TARGET_ECHO_S
+        targets = self._heard_targets[camera]
         again = heard in targets if stamp_s != 0.0 else soon and heard == targets[-1]
         targets.append(heard)
-        self._heard_target_s = now_s
+        self._heard_target_s[camera] = now_s
         if again:
             return
         if kind.any_frame and frame != OBJECT_FRAME:
             frame = self._frame
         accepted, text = self._loop.add_target(target, frame, stamp_s, camera)
         self._refusal = "" if accepted else text
-        if not (accepted and soon):  # a moving target would flood the log
+        if text and not (accepted and soon):  # a moving target would flood the log
             self.tell(ros.OK if accepted else ros.WARN, text)
 
     def _take_current_as_target(self) -> tuple[bool, str]:

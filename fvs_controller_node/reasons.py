@@ -62,7 +62,7 @@ class Reason(Enum):
         "call ~/start to move slowly to another target, or call the estimator's ~/reset",
     )
     PREDICTION_ERROR = _ends(
-        "the Jacobian predicts badly: error ratio {value:.2f} over {distance}",
+        "the Jacobian{of} predicts badly: error ratio {value:.2f} over {distance}",
         "check camera and model, call the estimator's ~/reset",
     )
     ERROR_GROWING = _ends(
@@ -82,7 +82,7 @@ class Reason(Enum):
         "check that its controller is active, the robot program runs and no protective stop is on",
     )
     IMAGE_NOT_FOLLOWING = _ends(
-        "the image does not follow the arm: {predicted} predicted in {time_s:.1f} s, "
+        "the image{of} does not follow the arm: {predicted} predicted in {time_s:.1f} s, "
         "{seen} measured",
         "check camera, detector and stamp_delay_s",
     )

@@ -209,8 +209,7 @@ class Supervisor:
             why = self._present.problem or "no image is usable yet"
             return Reason.NO_POSITION.because(what=self.config.kind.what, why=why)
         if self.goal.target is None:
-            names = (part.topics.target.name for part in self.config.kind.parts)
-            return Reason.NO_TARGET.because(name=" and ".join(names))
+            return Reason.NO_TARGET.because(name=self.goal.awaited)
         return self._singularity.check(self._smallest_m_rad, self.config)
 
     def _trouble_in_motion(self, dt_s: float) -> Finding | None:

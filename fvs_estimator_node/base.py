@@ -105,7 +105,7 @@ class Estimators(Estimator):
     @property
     def problem(self) -> str:
         """Why one of them has no estimate yet; empty if all have."""
-        return max(estimator.problem for estimator in self.each)
+        return next((each.problem for each in self.each if each.problem), "")
 
     @property
     def chain(self) -> AnyChain | None:
@@ -124,6 +124,10 @@ class Estimators(Estimator):
             estimator.reset()
 
     def status_values(self) -> dict[str, float]:
-        """Key numbers of all, summed."""
-        values = [estimator.status_values() for estimator in self.each]
-        return {name: sum(of[name] for of in values) for name in values[0]}
+        """Key numbers of each, with the camera's name before theirs."""
+        each = zip(self.kind.cameras, self.each, strict=True)
+        return {
+            f"{camera}_{name}": value
+            for camera, estimator in each
+            for name, value in estimator.status_values().items()
+        }

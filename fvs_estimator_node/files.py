@@ -243,7 +243,7 @@ class TrainedModel(_OfFeature):
 
     def figures(self, camera: str) -> dict[str, Any]:
         """The error figures of a camera; if it is not the only one, its name is before theirs."""
-        before = f"{camera}_" if len(self.cameras) > 1 else ""
+        before = f"{camera}/" if len(self.cameras) > 1 else ""
         own = {name: value for name, value in self.errors.items() if name.startswith(before)}
         return {name.removeprefix(before): value for name, value in own.items()}
 
@@ -338,8 +338,10 @@ def load_model(
             chain=content.chain() if any(name in content for name in _CHAIN) else None,
         )
         cameras = trained.cameras if expected is None else expected.kind.cameras
-        if cameras != trained.cameras and set(cameras) <= set(trained.cameras):
-            trained = trained.seen_by(cameras)
+        if cameras != trained.cameras:  # one without a name is taken for the first
+            chosen = trained.cameras[:1] if cameras == (UNNAMED,) else cameras
+            if set(chosen) <= set(trained.cameras):
+                trained = replace(trained.seen_by(chosen), cameras=cameras)
         trained.check(expected)
         return trained
 

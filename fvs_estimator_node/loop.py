@@ -12,6 +12,7 @@ import numpy as np
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_ros.filter import Image
 from fvs_ros.interface import Backlash
+from fvs_ros.pixel_chain import PixelChains
 from fvs_ros.track import Track
 from fvs_ros.vectors import all_finite, largest
 
@@ -67,8 +68,10 @@ class EstimationLoop:
             track.reset()
 
     def add_image(self, stamp_s: float, z: np.ndarray, camera: int = 0) -> None:
-        """Take what a camera measured, (m,), and its exposure, s."""
-        self._learn(camera, self.tracks[camera].add_image(stamp_s, z))
+        """Take what a camera measured, (m,), and its stamp, s."""
+        chain = self.estimator.chain
+        late_s = chain.each[camera].webcam.late_s if isinstance(chain, PixelChains) else 0.0
+        self._learn(camera, self.tracks[camera].add_image(stamp_s - late_s, z))
 
     def add_sliding_variable(self, stamp_s: float, sliding_m: np.ndarray) -> None:
         """Take the controller's sliding variable, m, (d,); the newest goes into coming steps."""
@@ -102,7 +105,9 @@ class EstimationLoop:
         return {
             "steps_learned": self.steps,
             "images_not_paired": sum(timeline.dropped for timeline in timelines),
-            "last_not_paired_because": max(timeline.last_reason for timeline in timelines),
+            "last_not_paired_because": next(
+                (timeline.last_reason for timeline in timelines if timeline.last_reason), ""
+            ),
             "position_noise_m": max(track.filter.noise_m for track in self.tracks),
             **self.estimator.status_values(),
         }

@@ -56,6 +56,8 @@ _LENS_PRIOR, _TIME_PRIOR_S, _PRIOR = (0.5, 0.2, 0.2), (0.1, 1e-4), 1.0
 #: Relative deviation of the Jacobian, median over the data, above which there is no model: fits of
 #: some seconds are often further off than they say.
 _UNKNOWN = 0.02
+#: Share of images left out above which there is none, either: what is left may be chosen to fit.
+_MOST_LEFT_OUT = 0.3
 #: Names of the webcam's numbers that are told.
 WEBCAM_FIGURES = ("focal_px", "centre_u_px", "centre_v_px", "k1")
 #: Step of the derivatives of the Jacobian by the coordinates.
@@ -143,6 +145,11 @@ def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> 
             "no arm with these joints explains the pixels, which are "
             f"{data.kind.length_text(fit.residual_m, 1)} off it; check joint names and units, and "
             "that camera and points stayed fixed"
+        )
+    if fit.outliers > _MOST_LEFT_OUT * fit.samples:
+        raise ChainFitError(
+            f"{fit.outliers} of {fit.samples} images fit no chain; are the points always the same, "
+            "in the same order?"
         )
     judged_rad = _spread(data.joints_rad, _JUDGED)
     deviation = float(np.median(fit.jacobian_deviation(judged_rad)))

@@ -24,6 +24,7 @@ from fvs_estimator_node.rbf import RbfModel, rbf_features
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds import Kind
 from fvs_ros.pixel_chain import AnyChain, PixelChain, PixelChains
+from fvs_ros.topics import DETECTOR
 
 #: Each method with its usual number of neurons, which cost little where samples are free.
 METHODS = {"varpro": 50, "ridge": 50, "poe": 100}
@@ -186,7 +187,7 @@ def _of_several(
         own = several.seen_by((camera,))
         missed = _missed(own.model, own.chain, judged_rad, own.kind.learned)
         figures = {**trained.errors, "distillation_error": missed}
-        errors |= {f"{camera}_{name}": value for name, value in figures.items()}
+        errors |= {f"{camera}/{name}": value for name, value in figures.items()}
         notes += [f"{camera}: {note}" for note in trained.notes]
     return replace(several, errors=errors, provenance={**several.provenance, "notes": notes})
 
@@ -356,14 +357,16 @@ def _notes(data: DataSet, errors: dict[str, Any], faults: list[str]) -> list[str
     noise_m = errors.get("noise_m", errors.get("residual_m", 0.0))
     late = f"{1e3 * abs(offset_s):.0f} ms {'before' if offset_s > 0.0 else 'after'} their stamps"
     clocks = "" if offset_s > 0.0 else " (if more than half an image's time: set the clocks, NTP)"
+    allowed = "for methods other than poe, stamp them as much earlier"
+    if data.kind.rigid:
+        allowed = f"the loop needs it, too: add {offset_s:.3f} to stamp_delay_s of {DETECTOR}"
     outliers, samples, what = errors["outliers"], errors["samples"], data.kind.what
     notes = (
         f"{what} positions scatter by {data.kind.length_text(noise_m)} (median); check depth, "
         f"lighting and that nothing else is taken for the {what}"
         if noise_m > _NOTABLE_NOISE_M
         else "",
-        f"the images show the joints of {late}; corrected here, but the loop needs it, too: add "
-        f"{offset_s:.3f} to stamp_delay_s of fvs_detector_node{clocks}"
+        f"the images show the joints of {late}; corrected here, but {allowed}{clocks}"
         if _NOTABLE_OFFSET_S < abs(offset_s) < 0.99 * MAX_OFFSET_S
         else "",
         f"{outliers} of {samples} images do not fit and were left out"

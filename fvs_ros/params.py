@@ -95,7 +95,8 @@ class Parameter:
         if self.broadcast and isinstance(value, (int, float, str)):
             value = [value]
         is_list = hasattr(value, "__len__") and not isinstance(value, str)
-        if not is_list or self.size not in (None, len(value)):
+        none = self.kind is str and is_list and not value  # ROS knows no type of an empty one
+        if not is_list or none or self.size not in (None, len(value)):
             raise self._refusal(value)
         return [self._check_element(element, value) for element in value]
 

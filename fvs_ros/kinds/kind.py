@@ -72,6 +72,8 @@ class Kind(Parameters):
         """Which numbers of a measurement, and components of a motion, are of each camera."""
         count = len(self.cameras)
         size = self.size // count
+        if count == 1:
+            return (slice(None),)
         return tuple(slice(i * size, (i + 1) * size) for i in range(count))
 
     @property
@@ -152,6 +154,10 @@ class Kind(Parameters):
         if self.on_arm and self.rigid and length(z[:3]) < _NEAREST_M:
             raise ValueError(f"is at the camera itself: {self.columns_of(z).tolist()}")
         return z
+
+    def unseen(self, z: np.ndarray) -> str:
+        """Why no camera can measure z, (m,), in words; empty if one may."""
+        return ""
 
     def read(self, message: Any) -> np.ndarray:
         """Measurement of a message of the topics ``tool`` and ``target``; not checked for size.

@@ -30,8 +30,8 @@ from fvs_ros.topics import (
 )
 
 _COUNT = 1
-#: Most cameras, and what their names are made of: those of topics.
-_MOST_CAMERAS, _NAME = 4, re.compile("[A-Za-z][A-Za-z0-9_]*")
+#: Most cameras, points of all of them, and what the cameras' names are made of: those of topics.
+_MOST_CAMERAS, _MOST_POINTS, _NAME = 4, 100, re.compile("[A-Za-z][A-Za-z0-9_]*")
 
 
 def _names(count: int, camera: str = "") -> tuple[str, ...]:
@@ -58,6 +58,7 @@ class Points(Kind):
     name, what = "points", "pattern"
     columns = axes = _names(_COUNT)
     box_size, rigid = 0, False
+    outliers = 0.03  # the middle of what is partly hidden
     models = ("models/ur5_webcams.npz", "")
     topics = _TOPICS._replace(
         tool=replace(_TOPICS.tool, subscribers=(SIM, ESTIMATOR, CONTROLLER, COLLECTOR, DASHBOARD)),
@@ -79,6 +80,15 @@ class Points(Kind):
         "and right/image_points; for points. One without a name has no prefix.",
     )
 
+    picture_px: tuple[int, ...] = parameter(
+        (0, 0),
+        "Width and height of the pictures, beyond which no target is taken; for points. 0: "
+        "unknown.",
+        0,
+        20_000,
+        size=2,
+    )
+
     def __post_init__(self) -> None:
         super().__post_init__()
         cameras = self.cameras
@@ -87,6 +97,11 @@ class Points(Kind):
             raise ParameterError(
                 f"cameras: expected up to {_MOST_CAMERAS} different names of letters, digits and "
                 f"_, got {list(cameras)}"
+            )
+        if self.point_count * len(cameras) > _MOST_POINTS:
+            raise ParameterError(
+                f"point_count: expected at most {_MOST_POINTS} points of all cameras, or their "
+                f"Jacobian is too large for a message, got {self.point_count * len(cameras)}"
             )
         names = [name for camera in cameras for name in _names(self.point_count, camera)]
         for attribute in ("columns", "axes"):
@@ -106,7 +121,7 @@ class Points(Kind):
         cls, count: int, camera_mount: str, cameras: tuple[str, ...] = (UNNAMED,)
     ) -> Points:
         """Half as many points as numbers of a camera."""
-        points, rest = divmod(count, 2 * len(cameras))
+        points, rest = divmod(count, 2 * max(1, len(cameras)))
         if rest:
             raise ValueError(
                 f"image points of {len(cameras)} cameras have an even count of numbers each, got "
@@ -123,6 +138,13 @@ class Points(Kind):
     def freedom(self) -> int:
         """That of a rigid body, three at most of one point and five of two."""
         return min(self.size, {1: 3, 2: 5}.get(self.point_count, 6))
+
+    def unseen(self, z: np.ndarray) -> str:
+        """Why no camera can show z: it is not in the picture, where its size is known."""
+        points, size = z.reshape(-1, 2), np.array(self.picture_px)
+        if np.all((points >= 0.0) & (points <= size) | (size == 0)):
+            return ""
+        return f"{self.text(z)} is not in a picture of {size[0]} x {size[1]} px (picture_px)"
 
     def along(self, chain: Any, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The pixels, (m,), and their Jacobian, m/rad, (d, n), by a chain before a webcam."""

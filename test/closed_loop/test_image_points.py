@@ -1,6 +1,7 @@
 """Image points before webcams, servoed by chains or by Jacobians that err."""
 
 from collections import deque
+from dataclasses import replace
 from itertools import cycle
 
 import numpy as np
@@ -23,9 +24,13 @@ EVERY, LATE = (4, 6), (5, 9)
 class Loop:
     """An arm of some joints with some points, before some webcams, in lock step."""
 
-    def __init__(self, joints, points, cameras, **values):
+    def __init__(self, joints, points, cameras, late_s=(0.0, 0.0), **values):
         self.rng = np.random.default_rng(2)
         self.webcams = before_webcams(self.rng, joints, points, len(cameras))
+        self.webcams = tuple(
+            replace(chain, webcam=replace(chain.webcam, late_s=late))
+            for chain, late in zip(self.webcams, late_s, strict=False)
+        )
         self.model, self.kind = PixelChains(self.webcams), Points(points, cameras=tuple(cameras))
         names = [f"joint_{i + 1}" for i in range(joints)]
         self.values = default_values(
@@ -34,7 +39,7 @@ class Loop:
         )
         self.servo, self.joints, self.tick = ServoLoop(self.values), np.zeros(joints), 0
         self.wrong = 1.0 + ERROR * self.rng.normal(size=(self.kind.size, joints))
-        self.waiting = [deque() for _ in cameras]
+        self.waiting, self.apart_s = [deque() for _ in cameras], [0.0, 0.0]
 
     def run(self, ticks, covered=(), measured=None):
         """Let time pass; returns the reasons that were given."""
@@ -50,8 +55,10 @@ class Loop:
                 if waiting and waiting[0][0] <= self.tick:
                     _, stamp_s, z = waiting.popleft()
                     z = z if measured is None else measured(i, z)
-                    self.servo.add_image(now_s, stamp_s, z, i)
-            if self.values["law"] == "minimum_time":
+                    self.servo.add_image(
+                        now_s, stamp_s + webcam.webcam.late_s + self.apart_s[i], z, i
+                    )
+            if self.values["law"] == "minimum_time" or self.webcams[0].webcam.late_s:
                 self.servo.add_chain(now_s, self.model)
             jacobian = self.wrong * self.kind.along(self.model, self.joints)[1]
             self.servo.add_jacobian(now_s, jacobian)
@@ -112,6 +119,58 @@ def test_a_webcam_that_is_lost_leaves_the_task_with_the_other(law):
     assert not loop.servo.set_current_as_target(now_s)[0]
     loop.run(500)  # it sees again
     np.testing.assert_allclose(loop.model.position(loop.joints), target, atol=1.0)
+
+
+@each("law", ["minimum_time", "ftsm"])
+def test_webcams_that_stamp_late_by_what_the_chains_know_are_followed_in_step(law):
+    loop = Loop(6, 1, ["left", "right"], late_s=(0.03, 0.08), law=law)
+    loop.run(50)
+    for _ in range(3):
+        target = loop.give(loop.rng.uniform(-0.3, 0.3, 6))
+        assert loop.run(400) <= {Reason.READY, Reason.SERVOING, Reason.SETTLED}
+        np.testing.assert_allclose(loop.model.position(loop.joints), target, atol=1.0)
+
+
+def test_a_webcam_with_another_clock_is_no_start_and_leaves_a_session_with_word_of_it():
+    loop = Loop(6, 1, ["left", "right"])
+    loop.apart_s[1] = -1.0
+    loop.run(50)
+    loop.give(loop.rng.uniform(-0.2, 0.2, 6))
+    assert loop.run(50) == {Reason.NO_POSITION}
+    assert "right/image_points is stamped 1.0" in loop.servo.supervisor.last.text
+    loop.apart_s[1] = 0.0
+    loop.run(50)
+    loop.apart_s[1] = -1.0
+    assert loop.run(100) <= {Reason.SERVOING, Reason.SETTLED}
+    words = loop.servo.supervisor.inputs.hidden(10.0 + DT_S * loop.tick)
+    assert "right/image_points is stamped 1.0" in words
+    assert "the other cameras count" in words
+
+
+def test_a_part_of_a_target_replaces_that_of_its_camera_alone():
+    loop = Loop(6, 1, ["left", "right"])
+    loop.run(50)
+    (left, right), goal = loop.kind.rows, loop.servo.supervisor.goal
+    one, other = (loop.model.position(np.full(6, at)) for at in (0.1, 0.2))
+    assert loop.servo.add_target(one[left], CAMERA_FRAME, camera=0) == (True, "")
+    assert goal.target is None
+    assert goal.awaited == "right/target_points"
+    for z, mine, camera in ((one, right, 1), (other, right, 1), (other, left, 0)):
+        assert loop.servo.add_target(z[mine], CAMERA_FRAME, camera=camera)[0]
+    np.testing.assert_array_equal(goal.target, other)
+    assert loop.servo.set_current_as_target(10.0 + DT_S * loop.tick)[0]
+    here = goal.target
+    assert loop.servo.add_target(one[right], CAMERA_FRAME, camera=1)[0]
+    np.testing.assert_array_equal(goal.target, np.append(here[left], one[right]))
+
+
+def test_a_target_beyond_the_picture_is_refused():
+    loop = Loop(6, 1, ["left", "right"], picture_px=[640, 480])
+    loop.run(50)
+    loop.give(np.full(6, 0.1))
+    accepted, why = loop.servo.add_target(np.array([5000.0, 240.0]), CAMERA_FRAME, camera=0)
+    assert not accepted
+    assert "is not in a picture of 640 x 480 px (picture_px)" in why
 
 
 def test_the_arm_rests_while_no_webcam_sees():

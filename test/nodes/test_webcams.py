@@ -94,7 +94,7 @@ def test_seven_joints_bring_points_of_two_trackers_to_their_targets(ros_test):
 
     goal = robot.seen(robot.rng.uniform(-0.2, 0.2, 7))
     give(goal, [0])
-    words = "left/target_points and right/target_points"
+    words = "no right/target_points yet"
     status.wait(lambda: status.reason() == "NO_TARGET" and words in status.text(), what="a target")
     give(goal, [1])
     status.wait(start, what="a start")
