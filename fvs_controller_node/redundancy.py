@@ -49,6 +49,8 @@ _HOMING = 0.5
 #: Closer to the posture than this, the way back is slower in proportion, rad.
 _NEAR_HOME_RAD = 0.3
 _TINY = 1e-12
+#: Share of the largest singular value below which one is rounding.
+_DEPENDENT = 1e-9
 
 
 @dataclass
@@ -191,14 +193,19 @@ def _homing(away_rad: np.ndarray, speed: float, room: float) -> np.ndarray:
 
 
 def _orthogonal_to_rows(jacobian: np.ndarray) -> np.ndarray:
-    """Orthonormal rows, (n - m, n), orthogonal to those of an (m, n) Jacobian of any rank.
+    """Orthonormal rows, (n - r, n), orthogonal to those of an (m, n) Jacobian of rank r.
 
-    By QR factors straight from LAPACK: numpy's wrapper takes five times as long.
+    By QR factors straight from LAPACK: numpy's wrapper takes five times as long. Where rows depend
+    on each other, as those of several webcams do, by singular values.
     """
     m, n = jacobian.shape
-    if m >= n:
-        return np.empty((0, n))
     factors, scales, _, _ = dgeqrf(jacobian.T)
+    pivots = np.abs(factors.diagonal())
+    if m > n or pivots.min() < _DEPENDENT * pivots.max():
+        _, values, rows, _ = dgesdd(jacobian)
+        return np.asarray(rows[np.count_nonzero(values > _DEPENDENT * values[0]) :])
+    if m == n:
+        return np.empty((0, n))
     q, padded = np.zeros((n, n), order="F"), np.zeros(n)
     q[:, :m], padded[:m] = factors, scales
     return dorgqr(q, padded)[0][:, m:].T

@@ -48,3 +48,12 @@ def test_a_joint_near_its_end_leaves_the_work_to_the_others_but_not_on_the_way_b
     assert outward[0] < 0.3 * outward[3]
     inward = inverse.joint_velocity(jacobian, np.array([-1.0, 0.0, 0.0]), near)
     assert inward[0] == pytest.approx(inward[3])
+
+
+@pytest.mark.parametrize("rows", [4, 8])
+def test_rows_that_depend_on_each_other_leave_as_much_free(rows):
+    """As those of two webcams before one point."""
+    inverse, mix = LeastSpeedInverse(1e-12), np.random.default_rng(1).normal(size=(rows, 3))
+    for jacobian, velocity in CASES[:10]:
+        mixed = inverse.joint_velocity(mix @ jacobian, mix @ velocity)
+        assert mixed == pytest.approx(inverse.joint_velocity(jacobian, velocity), abs=1e-5)
