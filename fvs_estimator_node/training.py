@@ -362,8 +362,9 @@ def _notes(data: DataSet, errors: dict[str, Any], faults: list[str]) -> list[str
         allowed = f"the loop needs it, too: add {offset_s:.3f} to stamp_delay_s of {DETECTOR}"
     outliers, samples, what = errors["outliers"], errors["samples"], data.kind.what
     notes = (
-        f"{what} positions scatter by {data.kind.length_text(noise_m)} (median); check depth, "
-        f"lighting and that nothing else is taken for the {what}"
+        f"{what} positions scatter by {data.kind.length_text(noise_m)} (median); check "
+        f"{'depth' if data.kind.rigid else 'focus'}, lighting and that nothing else is taken for "
+        f"the {what}"
         if noise_m > _NOTABLE_NOISE_M
         else "",
         f"the images show the joints of {late}; corrected here, but {allowed}{clocks}"
