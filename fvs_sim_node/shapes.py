@@ -2,18 +2,43 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 
 from fvs_ros.arguments import how_to_install
 
+
+@contextmanager
+def without_banner() -> Iterator[None]:
+    """Drop what PyBullet's C code prints: when it was built, and arguments that it has none of."""
+    flush, nowhere = ctypes.CDLL(None).fflush, os.open(os.devnull, os.O_WRONLY)
+    kept = {fd: os.dup(fd) for fd in (1, 2) if os.path.exists(f"/proc/self/fd/{fd}")}
+    flush(None)
+    for fd in kept:
+        os.dup2(nowhere, fd)
+    try:
+        yield
+    finally:
+        flush(None)
+        for fd, own in kept.items():
+            os.dup2(own, fd)
+            os.close(own)
+        os.close(nowhere)
+
+
 try:
-    import pybullet
-    from pybullet_utils.bullet_client import BulletClient
+    with without_banner():
+        import pybullet
+        from pybullet_utils.bullet_client import BulletClient
 except ImportError as error:
     words = f"the simulator needs pybullet: {how_to_install('sim', ['pybullet'])} ({error})"
     raise ImportError(words) from None
 
-__all__ = ["BulletClient", "box", "pybullet", "sphere"]
+__all__ = ["BulletClient", "box", "pybullet", "sphere", "without_banner"]
 
 
 def box(

@@ -29,7 +29,7 @@ from fvs_sim_node.carried import CARRIED, Carried, CarriedTag, exposed
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.placement import Placement
 from fvs_sim_node.robot import moving_joints, robot_description, robot_of
-from fvs_sim_node.shapes import BulletClient, box, pybullet, sphere
+from fvs_sim_node.shapes import BulletClient, box, pybullet, sphere, without_banner
 
 #: Depth range that is drawn, m; for a camera on the arm, from nearer on. What lies beyond has no
 #: depth, as with a real camera.
@@ -56,7 +56,8 @@ class World:
         if config.gui and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             # PyBullet would end the whole process without a message.
             raise ValueError("gui needs a display, and DISPLAY is not set; run with gui false")
-        self.client = BulletClient(pybullet.GUI if config.gui else pybullet.DIRECT)
+        with without_banner():
+            self.client = BulletClient(pybullet.GUI if config.gui else pybullet.DIRECT)
         if not self.client.isConnected():
             raise RuntimeError("PyBullet could not open its window; run with gui set to false")
         # Cached for every step: the attribute lookup takes as long as a call.

@@ -268,6 +268,8 @@ def test_the_demo_brings_the_ball_before_two_webcams_to_a_target(ros_test):
     assert len(result["target_m"]) == 4
     assert result["start_distance_m"] > 40.0 * KIND.pixel_m
     assert result["final_rms_m"] < 1.0 * KIND.pixel_m
+    assert "argv" not in ros_test.output(process)
+    assert "build time" not in ros_test.output(process)
     assert "1.0 px" in ros_test.output(process)
 
 
