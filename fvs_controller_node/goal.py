@@ -9,7 +9,7 @@ import numpy as np
 
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import Finding, Reason
-from fvs_controller_node.target_motion import TargetMotion, Update
+from fvs_controller_node.target_motion import TargetMotions, Update
 from fvs_ros.filter import GATE_M, OUTLIER
 from fvs_ros.vectors import length
 
@@ -146,7 +146,7 @@ class Goal:
     def __init__(self, config: SupervisorConfig) -> None:
         self._config = config
         self.progress = Progress()  #: of the error since the start, or since another target
-        self._followed = TargetMotion(config.kind)
+        self._followed = TargetMotions(config.kind)
         self._now_m = self._followed.path_m  # the path up to the target now
         self.moving = False  #: whether the target that was set last continues a motion
         self.target: np.ndarray | None = None  #: the target now, (m,)
@@ -176,6 +176,8 @@ class Goal:
         """The target, (m,), with a camera's new part; None while another camera has none."""
         if self.target is not None:
             self._parts = [self.target[rows] for rows in self._config.kind.rows]
+        elif len(self._parts) == 1:
+            return part
         self._parts[camera] = part
         known = [each for each in self._parts if each is not None]
         return np.concatenate(known) if len(known) == len(self._parts) else None
@@ -183,8 +185,9 @@ class Goal:
     @property
     def awaited(self) -> str:
         """Topics on which there is no target yet, in words."""
-        parts = zip(self._parts, self._config.kind.parts, strict=True)
-        return " and ".join(kind.topics.target.name for part, kind in parts if part is None)
+        names = [kind.topics.target.name for kind in self._config.kind.parts]
+        parts = zip(self._parts, names, strict=True)
+        return " and ".join([name for part, name in parts if part is None] or names)
 
     @property
     def rests(self) -> bool:
@@ -204,19 +207,25 @@ class Goal:
         return f"{outside}, in {frame}" if outside else ""
 
     def set(
-        self, target: np.ndarray, frame: str, there_s: float = -inf, age_s: float = 0.0
+        self,
+        target: np.ndarray,
+        frame: str,
+        there_s: float = -inf,
+        age_s: float = 0.0,
+        camera: int | None = None,
     ) -> tuple[bool, str]:
         """Set the target, (m,); a refused one leaves the old in place.
 
         ``there_s`` is its time on the joint states' clock, s; a target soon after the last one is
-        a moving one. Without a time it is fixed. ``age_s`` is the age of its message. Returns
-        whether it was accepted, and a text with the result or the reason for the refusal.
+        a moving one. Without a time it is fixed. ``age_s`` is the age of its message. Of a camera,
+        only its part is new. Returns whether it was accepted, and a text with the result or the
+        reason for the refusal.
         """
         refusal = self._refusal(target, frame)
         if refusal:
             return False, f"target refused: {refusal}"
         target = np.array(target, dtype=float)
-        update = self._followed.add(target, there_s, age_s)
+        update = self._followed.add(target, there_s, age_s, camera)
         if update is Update.OVERTAKEN:
             return True, "target ignored: a newer one has arrived"
         path_m = self._followed.path_m

@@ -230,12 +230,10 @@ class Inbox:
         findings += troubles
         return findings[0] if findings else None
 
-    def silent(self, camera: int, now_s: float) -> bool:
-        """Whether a camera has fallen silent, or is not back yet."""
-        monitor = self[self.features[camera]]
-        finding = monitor.find(now_s)
-        bad = finding is not None and finding.reason is Reason.BAD_INPUT
-        return monitor.late(now_s) if bad else finding is not None
+    def may_leave(self, camera: int, now_s: float, shows: bool) -> bool:
+        """Whether a camera shows nothing, has fallen silent or is not back yet; not a bad one."""
+        finding = self[self.features[camera]].find(now_s)
+        return not shows if finding is None else finding.reason is not Reason.BAD_INPUT
 
     def late(self, now_s: float) -> str:
         """The first fault in age or content of all messages but an object's; empty if fresh."""

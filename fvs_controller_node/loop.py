@@ -223,6 +223,8 @@ class ServoLoop:
         inputs, max_age_s = self.supervisor.inputs, self.supervisor.config.jacobian_max_age_s
         if inputs.add(JACOBIAN, now_s, jacobian) and now_s - self._chain_s > max_age_s:
             self._chain = None
+            for eye in self.eyes:
+                eye.late_s = 0.0
             self.jacobian = self.kind.possible(np.array(jacobian, dtype=float))
 
     def add_chain(self, now_s: float, chain: AnyChain) -> None:
@@ -248,7 +250,7 @@ class ServoLoop:
         when it was there, on the clock of the joint states. The answer is the supervisor's: see
         :meth:`~fvs_controller_node.goal.Goal.set`; without a text while parts are awaited.
         """
-        there_s = on_own_clock(stamp_s, self._stamp_s)
+        there_s, only = on_own_clock(stamp_s, self._stamp_s), None
         if frame == OBJECT_FRAME and self.kind.on_arm:
             z = self._lens.measured(self.kind.inverse(z))
             frame = self.supervisor.config.feature_frame
@@ -257,11 +259,16 @@ class ServoLoop:
         elif frame == OBJECT_FRAME:
             return self._set_relation(z)
         elif camera is not None:
-            whole = self.supervisor.goal.whole(z, camera)
+            part, goal = self.kind.parts[camera], self.supervisor.goal
+            why = part.unseen(z)
+            if why:
+                return False, f"target refused: {part.topics.target.name}: {why}"
+            only = camera if goal.target is not None else None
+            whole = goal.whole(z, camera)
             if whole is None:
                 return True, ""
             z = whole
-        accepted, text = self._set_target(z, frame, there_s, self._stamp_s - there_s)
+        accepted, text = self._set_target(z, frame, there_s, self._stamp_s - there_s, only)
         if accepted:
             self._be_relative_to_object(None)
         return accepted, text
@@ -433,7 +440,7 @@ class ServoLoop:
         lost = {
             i: self.eyes[i].track.problem
             for i, z in enumerate(shown)
-            if z is None or inputs.silent(i, now_s)
+            if inputs.may_leave(i, now_s, shows=z is not None)
         }
         if not self.supervisor.started or target is None or len(lost) == len(shown):
             lost = {}

@@ -201,3 +201,63 @@ def _significant(d: int) -> float:
 def on_own_clock(stamp_s: float, now_s: float) -> float:
     """The stamp, or now if the stamp is of another clock, s."""
     return stamp_s if abs(stamp_s - now_s) < _OWN_CLOCK_S else now_s
+
+
+class TargetMotions:
+    """The motions of what each camera is to show: it is told of them one by one, or of all."""
+
+    def __init__(self, kind: Kind) -> None:
+        self._each = [TargetMotion(part) for part in kind.parts]
+        self._rows = kind.rows
+
+    def forget(self) -> None:
+        """Know nothing of them."""
+        for motion in self._each:
+            motion.forget()
+
+    @property
+    def path_m(self) -> np.ndarray:
+        """How far they have gone, m, (d,)."""
+        return np.concatenate([motion.path_m for motion in self._each])
+
+    @property
+    def last(self) -> np.ndarray | None:
+        """What was measured last, (m,); None before the first."""
+        last = [motion.last for motion in self._each if motion.last is not None]
+        return np.concatenate(last) if len(last) == len(self._each) else None
+
+    @property
+    def rests(self) -> bool:
+        """Whether all have stood for a while, as far as their updates tell."""
+        return all(motion.rests for motion in self._each)
+
+    @property
+    def noise_m(self) -> float:
+        """Standard deviation of a coordinate of a measurement, as learned, m: the largest."""
+        return max(motion.noise_m for motion in self._each)
+
+    def add(self, z: np.ndarray, there_s: float, age_s: float, camera: int | None = None) -> Update:
+        """Take a measurement, (m,), or of it a camera's part; else as :meth:`TargetMotion.add`."""
+        updates = {
+            motion.add(z[rows], there_s, age_s)
+            for i, (motion, rows) in enumerate(zip(self._each, self._rows, strict=True))
+            if camera in (None, i)
+        }
+        return next(
+            update
+            for update in (Update.NEW, Update.CONTINUED, Update.OVERTAKEN)
+            if update in updates
+        )
+
+    def at(self, now_s: float) -> tuple[np.ndarray | None, np.ndarray, np.ndarray | None]:
+        """As :meth:`TargetMotion.at`, of all."""
+        places, paths_m, velocities = zip(*(motion.at(now_s) for motion in self._each), strict=True)
+        known = [z for z in places if z is not None]
+        z = np.concatenate(known) if len(known) == len(places) else None
+        if all(velocity is None for velocity in velocities):
+            return z, np.concatenate(paths_m), None
+        velocity_m_s = [
+            np.zeros_like(path_m) if velocity is None else velocity
+            for velocity, path_m in zip(velocities, paths_m, strict=True)
+        ]
+        return z, np.concatenate(paths_m), np.concatenate(velocity_m_s)

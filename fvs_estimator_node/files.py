@@ -243,7 +243,9 @@ class TrainedModel(_OfFeature):
 
     def figures(self, camera: str) -> dict[str, Any]:
         """The error figures of a camera; if it is not the only one, its name is before theirs."""
-        before = f"{camera}/" if len(self.cameras) > 1 else ""
+        before = f"{camera}/"
+        if not any(name.startswith(before) for name in self.errors):
+            before = ""
         own = {name: value for name, value in self.errors.items() if name.startswith(before)}
         return {name.removeprefix(before): value for name, value in own.items()}
 
@@ -441,6 +443,8 @@ class _Content(dict[str, Any]):
         for name, value in _OLDER.items():
             self.setdefault(name, np.array(value))
         self.common: dict[str, Any] = {"joint_names": names, "cameras": self.texts("cameras")}
+        if not self.common["cameras"]:
+            raise ValueError("names no camera, expected one or more")
         known = {"feature": KINDS, "camera_mount": MOUNTS, "feature_frame": ()}
         for name, choices in known.items():
             text = self.common[name] = self.text(name)

@@ -164,13 +164,43 @@ def test_a_part_of_a_target_replaces_that_of_its_camera_alone():
     np.testing.assert_array_equal(goal.target, np.append(here[left], one[right]))
 
 
+def test_a_camera_whose_target_is_not_updated_shows_it_where_it_was():
+    loop = Loop(6, 1, ["left", "right"])
+    loop.run(50)
+    (left, right), goal = loop.kind.rows, loop.servo.supervisor.goal
+    start = loop.model.position(loop.joints)
+
+    def give(z, camera):
+        loop.servo.add_target(z, CAMERA_FRAME, 10.0 + DT_S * loop.tick, camera)
+
+    for step in range(20):
+        for camera, rows in enumerate((left, right)):
+            give(start[rows] + step, camera)
+        loop.run(4)
+    for _ in range(40):
+        give(start[left] + 20.0, 0)
+        loop.run(4)
+    np.testing.assert_allclose(goal.target[right], start[right] + 19.0, atol=0.5)
+    np.testing.assert_allclose(goal.target[left], start[left] + 20.0, atol=0.5)
+    reasons = set()
+    for step in range(20):  # the other camera's parts are older
+        give(start[left] + step, 0)
+        loop.servo.add_target(start[right] + step, CAMERA_FRAME, 9.98 + DT_S * loop.tick, 1)
+        reasons |= loop.run(4)
+    np.testing.assert_allclose(goal.target[right], start[right] + 19.0, atol=3.0)
+    assert reasons <= {Reason.SERVOING, Reason.SETTLED}
+
+
 def test_a_target_beyond_the_picture_is_refused():
     loop = Loop(6, 1, ["left", "right"], picture_px=[640, 480])
     loop.run(50)
     loop.give(np.full(6, 0.1))
     accepted, why = loop.servo.add_target(np.array([5000.0, 240.0]), CAMERA_FRAME, camera=0)
     assert not accepted
-    assert "is not in a picture of 640 x 480 px (picture_px)" in why
+    assert "left/target_points: (5000.0, 240.0) px is not in a picture of 640 x 480 px" in why
+    loop = Loop(6, 1, ["left", "right"], picture_px=[640, 480])
+    assert not loop.servo.add_target(np.array([5000.0, 240.0]), CAMERA_FRAME, camera=0)[0]
+    assert loop.servo.supervisor.goal.awaited == "left/target_points and right/target_points"
 
 
 def test_the_arm_rests_while_no_webcam_sees():
@@ -191,7 +221,9 @@ def test_a_webcam_with_a_bad_or_a_frozen_picture_stops_the_arm(camera):
     loop.run(50)
     loop.give(loop.rng.uniform(-0.2, 0.2, 6))
     loop.run(10)
-    assert Reason.BAD_INPUT in loop.run(9, measured=lambda i, z: z + [np.nan, 0.0][i != camera])
+    nan = {"measured": lambda i, z: z + [np.nan, 0.0][i != camera]}
+    assert Reason.BAD_INPUT in loop.run(9, **nan)
+    assert loop.run(200, **nan) == {Reason.BAD_INPUT}
     loop = Loop(6, 1, ["left", "right"])
     loop.run(50)
     loop.give(np.full(6, 0.3))
