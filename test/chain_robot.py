@@ -1,4 +1,4 @@
-"""A robot that is not ours: a chain, its driver, and a tracker."""
+"""Robots that are not ours: an arm and its driver; with a chain and a tracker."""
 
 import time
 from collections import deque
@@ -14,37 +14,48 @@ from fvs_ros.camera import CAMERA_FRAME
 PERIOD_S, LAG_S, NOISE_M = 1.0 / 60.0, 0.02, 0.001
 
 
-class ChainRobot:
-    """A chain of named joints, stepped at 60 Hz from its reference joints on.
+class ForeignArm:
+    """An arm and its driver, stepped at 60 Hz; the last command holds for ever."""
 
-    Joint states are in alphabetical order, a gripper's among them, and wrapped at pi; the driver
-    says that the joints begin at ``home_rad``. Poses are those of anybody's tracker: every second
-    step, two steps late, while it ``sees``. The last command holds for ever.
-    """
-
-    def __init__(self, harness, chain, names, kind, home_rad=None):
-        self.chain, self.names, self.kind = chain, names, kind
-        self.rng, self.sees = np.random.default_rng(4), True
-        self.joints = chain.reference_rad.copy()
-        self.offset_rad = 0.0 if home_rad is None else home_rad - self.joints
-        self.velocity = self.command = np.zeros(len(names))
-        self.began_s, self.steps, self.exposed = time.time(), 0, deque(maxlen=3)
-        node = harness.node
+    def __init__(self, harness, joints):
+        self.joints, self.command = joints.copy(), np.zeros(len(joints))
+        self.began_s, self.steps, node = time.time(), 0, harness.node
         self.states = node.create_publisher(JointState, topics.JOINT_STATES.name, 10)
-        self.poses = node.create_publisher(PoseStamped, kind.feature.name, 10)
         node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self.obey, 10)
         node.create_timer(PERIOD_S, self.catch_up)
 
     def obey(self, message):
-        assert len(message.data) == len(self.names), "a real controller would be deactivated"
+        assert len(message.data) == len(self.joints), "a real controller would be deactivated"
         self.command = np.array(message.data)
 
     def catch_up(self):
         while (now_s := self.began_s + self.steps * PERIOD_S) < time.time():
+            self.steps += 1
             self.step(now_s)
 
+    def move(self, now_s, names):
+        """Move at once as commanded, and say where the joints are."""
+        self.joints = self.joints + PERIOD_S * self.command
+        self.states.publish(ros.to_joint_state(now_s, names, self.joints, np.zeros(0)))
+
+
+class ChainRobot(ForeignArm):
+    """A chain of named joints, from its reference joints on.
+
+    Joint states are in alphabetical order, a gripper's among them, and wrapped at pi; the driver
+    says that the joints begin at ``home_rad``. Poses are those of anybody's tracker: every second
+    step, two steps late, while it ``sees``.
+    """
+
+    def __init__(self, harness, chain, names, kind, home_rad=None):
+        super().__init__(harness, chain.reference_rad)
+        self.chain, self.names, self.kind = chain, names, kind
+        self.rng, self.sees = np.random.default_rng(4), True
+        self.offset_rad = 0.0 if home_rad is None else home_rad - self.joints
+        self.velocity, self.exposed = self.command, deque(maxlen=3)
+        self.poses = harness.node.create_publisher(PoseStamped, kind.feature.name, 10)
+
     def step(self, now_s):
-        self.steps += 1
         self.velocity = self.velocity + PERIOD_S / (LAG_S + PERIOD_S) * (
             self.command - self.velocity
         )

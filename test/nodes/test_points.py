@@ -10,12 +10,12 @@ import drawn_tags
 import numpy as np
 import pytest
 import ur5_dh
+from chain_robot import ForeignArm
 from drawn_balls import VGA
 from geometry_msgs.msg import Point32, PolygonStamped
 from harness import Statuses
 from recordings import Recording, ur5_chain
-from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import Float64MultiArray
+from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from fvs_controller_node.config import default_values
@@ -41,7 +41,7 @@ from fvs_ros.params import ParameterError
 
 KIND = Points(4)
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
-NOISE_PX, DT_S, IMAGE_TICKS, LATE_TICKS, PERIOD_S = 0.2, 0.008, 4, 5, 1.0 / 60.0
+NOISE_PX, DT_S, IMAGE_TICKS, LATE_TICKS = 0.2, 0.008, 4, 5
 #: Points of a thing about the tool's point, m, at the first joints; in no plane: the tilt of a flat
 #: one that faces the camera hardly shows.
 CORNERS_M = 0.1 * np.array(
@@ -155,28 +155,18 @@ def test_a_message_is_read_as_it_was_written_and_refused_if_it_has_other_points(
         KIND.read(message)
 
 
-class Robot:
-    """An arm and a tracker that are not ours, stepped at 60 Hz; an image every second step."""
+class Robot(ForeignArm):
+    """An arm and a tracker that are not ours; an image every second step."""
 
     def __init__(self, harness):
-        self.rng, self.joints, self.steps = np.random.default_rng(4), ur5_dh.HOME_RAD.copy(), 0
-        self.command, self.began_s = np.zeros(6), time.time()
-        node = harness.node
-        self.states = node.create_publisher(JointState, topics.JOINT_STATES.name, 10)
-        self.images = node.create_publisher(PolygonStamped, "image_points", 10)
-        node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self.obey, 10)
-        node.create_timer(PERIOD_S, self.catch_up)
+        super().__init__(harness, ur5_dh.HOME_RAD)
+        self.rng = np.random.default_rng(4)
+        self.images = harness.node.create_publisher(PolygonStamped, "image_points", 10)
 
-    def obey(self, message):
-        self.command = np.array(message.data)
-
-    def catch_up(self):
-        while (now_s := self.began_s + self.steps * PERIOD_S) < time.time():
-            self.steps += 1
-            self.joints = self.joints + PERIOD_S * self.command
-            self.states.publish(ros.to_joint_state(now_s, UR_JOINT_NAMES, self.joints, np.zeros(0)))
-            if self.steps % 2:
-                self.images.publish(polygon(measured(self.joints, self.rng), now_s))
+    def step(self, now_s):
+        self.move(now_s, UR_JOINT_NAMES)
+        if self.steps % 2:
+            self.images.publish(polygon(measured(self.joints, self.rng), now_s))
 
 
 def polygon(z, stamp_s=0.0):

@@ -1,11 +1,8 @@
 """Two webcams of unknown lenses and anybody's trackers, seven joints, through the real nodes."""
 
-import time
-
 import numpy as np
+from chain_robot import ForeignArm
 from harness import Statuses
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 from webcams import before_webcams
 
@@ -16,40 +13,30 @@ from fvs_ros.kinds.points import Points
 from fvs_ros.pixel_chain import PixelChains
 
 CAMERAS, NAMES = ("left", "right"), tuple(f"joint_{i + 1}" for i in range(7))
-KIND, PERIOD_S, NOISE_PX = Points(2, cameras=CAMERAS), 1.0 / 60.0, 0.3
+KIND, NOISE_PX = Points(2, cameras=CAMERAS), 0.3
 #: Joint states from image to image of each camera.
 EVERY = 2, 3
 
 
-class Robot:
-    """An arm and two trackers that are not ours, stepped at 60 Hz."""
+class Robot(ForeignArm):
+    """An arm and two trackers that are not ours."""
 
     def __init__(self, harness):
-        self.rng = np.random.default_rng(2)
+        super().__init__(harness, np.zeros(7))
+        self.rng, self.covered = np.random.default_rng(2), set()
         self.webcams = before_webcams(self.rng, 7, 2, 2)
-        self.joints, self.steps, self.covered = np.zeros(7), 0, set()
-        self.command, self.began_s, node = np.zeros(7), time.time(), harness.node
-        self.states = node.create_publisher(JointState, topics.JOINT_STATES.name, 10)
         points = ros.message_class(Points.topics.tool.type)
         names = [part.feature.name for part in KIND.parts]
-        self.images = [node.create_publisher(points, name, 10) for name in names]
-        node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self.obey, 10)
-        node.create_timer(PERIOD_S, self.catch_up)
+        self.images = [harness.node.create_publisher(points, name, 10) for name in names]
 
-    def obey(self, message):
-        self.command = np.array(message.data)
-
-    def catch_up(self):
-        while (now_s := self.began_s + self.steps * PERIOD_S) < time.time():
-            self.steps += 1
-            self.joints = self.joints + PERIOD_S * self.command
-            self.states.publish(ros.to_joint_state(now_s, NAMES, self.joints, np.zeros(0)))
-            for camera, publisher in enumerate(self.images):
-                if self.steps % EVERY[camera] == 0 and camera not in self.covered:
-                    z = self.webcams[camera].position(self.joints)
-                    z = z + NOISE_PX * self.rng.normal(size=z.size)
-                    part = KIND.parts[camera]
-                    publisher.publish(ros.to_feature(now_s, f"{CAMERAS[camera]}_cam", part, z))
+    def step(self, now_s):
+        self.move(now_s, NAMES)
+        for camera, publisher in enumerate(self.images):
+            if self.steps % EVERY[camera] == 0 and camera not in self.covered:
+                z = self.webcams[camera].position(self.joints)
+                z = z + NOISE_PX * self.rng.normal(size=z.size)
+                part = KIND.parts[camera]
+                publisher.publish(ros.to_feature(now_s, f"{CAMERAS[camera]}_cam", part, z))
 
     def seen(self, joints):
         return PixelChains(self.webcams).position(joints)
