@@ -1,4 +1,4 @@
-"""Is each row of the README's safety table kept? A controller without it is found out.
+"""Is each row of the safety table (docs/safety.md) kept? A controller without it is found out.
 
 python -m bench mutants. Each mutant lacks one rule: it never finds a reason, does not heed a
 parameter, or has a function replaced. In the script beside it the promises of
