@@ -11,7 +11,7 @@ ARGS ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt
+PIP := $(BIN)/python -m pip install --disable-pip-version-check
 DATASET := out/collect/dataset.npz
 MODEL := config/models/ur5_front.npz
 
@@ -91,10 +91,10 @@ log-dir:
 
 # What is installed: one stamp per set of extras. A larger set stamps the smaller ones it holds.
 
-$(VENV)/.installed-demo: EXTRAS := ros,sim,record
-$(VENV)/.installed-model: EXTRAS := ros,sim,record,train
-$(VENV)/.installed-lab: EXTRAS := ros,sim,record,lab
-$(VENV)/.installed-dashboard: EXTRAS := ros,sim,record,dashboard
+$(VENV)/.installed-demo: EXTRAS := sim,record
+$(VENV)/.installed-model: EXTRAS := sim,record,train
+$(VENV)/.installed-lab: EXTRAS := sim,record,lab
+$(VENV)/.installed-dashboard: EXTRAS := sim,record,dashboard
 $(VENV)/.installed-lint: EXTRAS := test
 $(VENV)/.installed-all: EXTRAS := all
 $(VENV)/.installed-all: ALSO := demo dashboard model lab lint
@@ -112,7 +112,7 @@ HINT_docs := minutes and up to 3 GB for torch
 HINT_lint := half a minute and 100 MB
 HINT_all := minutes and up to 3 GB for torch
 
-$(VENV)/.installed-%: setup.py constraints.txt $(VENV)/.made | check-python
+$(VENV)/.installed-%: setup.py $(VENV)/.made | check-python
 	@echo "== install fvs_ros[$(EXTRAS)] into $(VENV): $(HINT_$*), once"
 	@case $(EXTRAS) in test) ;; *) $(install-pybullet) ;; esac
 	@$(PIP) -e '.[$(EXTRAS)]'

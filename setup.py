@@ -1,49 +1,89 @@
-"""Package of the nodes, for pip and for colcon; package.xml holds the same version."""
+"""Package of the nodes, for pip and for colcon; package.xml holds the same version.
 
+The lower bound of a requirement is the oldest version meant to work, the upper bound the first
+major version unknown.
+"""
+
+import re
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 PACKAGE = "fvs_ros"
+URL = "https://github.com/fvs-ros/fvs_ros"
 
+#: ROS 2 Jazzy. Plain ros-rclpy and its like would resolve to a newer ROS.
+ROS = [
+    "ros-jazzy-rclpy>=7.1.5,<8",
+    "ros-jazzy-rmw-fastrtps-cpp>=8.4.2,<9",
+    "ros-jazzy-common-interfaces>=5.3.5,<6",
+    "jinja2>=3.1,<4",
+]
+# OpenCV 5.0 lacks the hand-eye solvers that the calibration is compared with.
+CAMERA = ["opencv-python-headless>=4.8,<5"]
+FIGURES = ["jinja2>=3.1,<4", "matplotlib>=3.8,<4"]
 EXTRAS = {
-    "ros": [
-        "ros-jazzy-rclpy",
-        "ros-jazzy-rmw-fastrtps-cpp",
-        "ros-jazzy-common-interfaces",
-        "jinja2",
-    ],
-    "camera": ["opencv-python-headless"],
-    "sim": ["pybullet", "opencv-python-headless", "matplotlib"],
-    "train": ["torch"],
-    "lab": ["joblib", "cmaes", "jinja2", "matplotlib"],
-    "record": ["rosbags"],
-    "dashboard": ["viser[urdf]>=1.1,<1.2", "opencv-python-headless"],
-    "docs": ["pdoc"],
+    "ros": ROS,
+    "camera": CAMERA,
+    # pybullet has wheels up to Python 3.11; from 3.12 on it is compiled.
+    "sim": [*ROS, *CAMERA, *FIGURES, "pybullet>=3.2.6,<4"],
+    # The newest torch known to work; without an upper bound pip takes whatever is newest, and its
+    # gigabytes of CUDA packages with it.
+    "train": ["torch>=2.4,<=2.13.0"],
+    "lab": [*FIGURES, "joblib>=1.3,<2", "cmaes>=0.10,<1"],
+    "record": ["rosbags>=0.11.9,<0.12"],
+    "dashboard": [*CAMERA, "viser[urdf]>=1.1,<1.2", "yourdfpy>=0.0.58,<1"],
+    "docs": ["pdoc>=14,<17"],
     "test": [
-        "pytest",
-        "pytest-timeout",
-        "pytest-rerunfailures",
-        "pytest-xdist",
-        "coverage",
-        "hypothesis",
-        "filterpy",
-        "mcap-ros2-support",
-        "playwright",
-        "ruff",
-        "mypy",
-        "types-PyYAML",
-        "types-tqdm",
+        "pytest>=7.4,<10",
+        "pytest-timeout>=2.2,<3",
+        "pytest-rerunfailures>=13,<17",
+        "pytest-xdist>=3.5,<4",
+        "coverage>=7.10,<8",
+        "hypothesis>=6.98,<7",
+        "filterpy>=1.4.5,<3",
+        "mcap-ros2-support>=0.5.5,<1",
+        "playwright>=1.48,<2",
+        # Formatting changes between minor versions; .pre-commit-config.yaml names the same.
+        "ruff>=0.17.5,<0.18",
+        "mypy>=2.4,<3",
+        "types-PyYAML>=6.0.12,<7",
+        "types-tqdm>=4.66,<5",
     ],
 }
-EXTRAS["all"] = [one for name, extra in EXTRAS.items() if name != "docs" for one in extra]
+EXTRAS["all"] = sorted({one for name, extra in EXTRAS.items() if name != "docs" for one in extra})
+
+
+def description():
+    """README.md, its links made absolute: package indices show it alone."""
+    text = (Path(__file__).resolve().parent / "README.md").read_text(encoding="utf-8")
+    text = re.sub(r"(!\[[^]]*\]\()(?!http)", rf"\1{URL}/raw/main/", text)
+    return re.sub(r"((?<!!)\[[^]]*\]\()(?!http|#)", rf"\1{URL}/blob/main/", text)
+
 
 setup(
     name=PACKAGE,
-    version="0.1.0",
+    version="1.0.0",
     description="Uncalibrated visual servoing of a robot arm: learned Jacobian, "
     "finite-time control, simulator",
+    long_description=description(),
+    long_description_content_type="text/markdown",
     license="Apache-2.0",
+    url=URL,
+    project_urls={
+        "Changelog": f"{URL}/blob/main/CHANGELOG.rst",
+        "Issues": f"{URL}/issues",
+    },
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Environment :: Console",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3",
+        "Topic :: Scientific/Engineering",
+    ],
+    keywords="ROS visual-servoing robotics calibration control",
     maintainer="fvs_ros maintainers",
     maintainer_email="maintainers@example.org",
     python_requires=">=3.10",
@@ -61,7 +101,13 @@ setup(
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.py"))),
     ],
     # What the cores need without ROS; in a ROS workspace rosdep brings these by apt.
-    install_requires=["numpy", "scipy", "threadpoolctl", "PyYAML", "tqdm"],
+    install_requires=[
+        "numpy>=1.26,<3",
+        "scipy>=1.11,<2",
+        "threadpoolctl>=3.1,<4",
+        "PyYAML>=6.0.1,<7",
+        "tqdm>=4.66,<5",
+    ],
     extras_require=EXTRAS,
     zip_safe=True,
     entry_points={

@@ -93,7 +93,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.error(f"--scheme is for {' and '.join(LONG)}")
     if arguments.name == "replay":
         parser.error("replay comes first: fvs_experiments replay BAG")
-    if _lacks("fvs_experiments", NEEDS, "ros,sim,lab"):
+    if _lacks("fvs_experiments", NEEDS, "sim,lab"):
         return EXIT_BAD_INPUT
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)

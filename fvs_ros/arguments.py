@@ -29,8 +29,8 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 def how_to_install(extras: str, packages: Iterable[str]) -> str:
     """Commands that install missing packages, which these extras (``a,b``) contain."""
     return (
-        f"in a checkout with .venv, .venv/bin/pip install -c constraints.txt -e '.[{extras}]'; "
-        f"elsewhere, pip install {' '.join(packages)}"
+        f"pip install 'fvs_ros[{extras}]', in a checkout .venv/bin/pip install -e '.[{extras}]'; "
+        f"in a ROS workspace, pip install {' '.join(packages)}"
     )
 
 

@@ -21,31 +21,31 @@ _DIE_WITH_PARENT = (
 )
 
 
-def share_folders() -> list[Path]:
-    """Folders that may hold the project's own: the source tree, then of each ROS prefix."""
+def share_folder() -> Path:
+    """The folder of ``config/``: the source tree, or ``share/fvs_ros`` of what it is installed in.
+
+    That is a virtual environment, a user's folder, or a ROS prefix.
+    """
     source = Path(__file__).resolve().parents[1]
-    folders = [source] if (source / "package.xml").is_file() else []
-    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    return folders + [Path(p) / "share" / PACKAGE for p in [*prefixes, sys.prefix]]
+    installed = (folder / "share" / PACKAGE for folder in (source, *source.parents))
+    return next((path for path in (source, *installed) if (path / "package.xml").is_file()), source)
 
 
 def find_file(name: str, folder: str = "config") -> Path:
     """An existing file given by path, or by name within the project's own folder.
 
-    A relative path that is not found from the working directory is looked up in ``folder`` of the
-    source tree, then of each ROS prefix. The ``FileNotFoundError`` lists where it was looked for.
+    A relative path that is not found from the working directory is looked up in ``folder`` of
+    :func:`share_folder`. The ``FileNotFoundError`` lists where it was looked for.
     """
     try:
         path = Path(name).expanduser()
     except RuntimeError:
         raise FileNotFoundError(f"no file {name}: there is no such user") from None
-    candidates = [path]
-    if not path.is_absolute():
-        candidates += [share / folder / path for share in share_folders()]
+    candidates = dict.fromkeys((path, share_folder() / folder / path))
     for candidate in candidates:
         if candidate.is_file():
             return candidate
-    raise FileNotFoundError(f"no file {name}; looked in {', '.join(str(p) for p in candidates)}")
+    raise FileNotFoundError(f"no file {name}; looked in {', '.join(map(str, candidates))}")
 
 
 def find_mesh(name: str, urdf: Path | None = None) -> Path | None:

@@ -18,7 +18,7 @@ import yaml
 from fvs_ros import topics
 from fvs_ros.arguments import unknown
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
-from fvs_ros.paths import find_file, share_folders
+from fvs_ros.paths import find_file, share_folder
 from fvs_ros.yaml_text import QUOTED, read_yaml, read_yaml_file
 from fvs_sim_node.robot import moving_joints, robot_of
 from fvs_tools.recording import check_recording
@@ -199,11 +199,8 @@ def params_yaml(parameters: Scenario) -> str:
 
 def scenario_names() -> dict[str, str]:
     """The project's own scenarios, each with the first sentence of its file."""
-    sentences: dict[str, str] = {}
-    paths = (path for folder in share_folders() for path in folder.glob("config/*.yaml"))
-    for path in sorted(paths):
+    sentences = {}
+    for path in sorted(share_folder().glob("config/*.yaml")):
         words = path.read_text(encoding="utf-8").partition("\n\n")[0].replace("\n#", "")
-        sentences.setdefault(
-            path.stem, words.removeprefix("# ").partition(". ")[0].rstrip(".") + "."
-        )
+        sentences[path.stem] = words.removeprefix("# ").partition(". ")[0].rstrip(".") + "."
     return sentences

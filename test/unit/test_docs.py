@@ -14,7 +14,7 @@ from fvs_tools.scenario import parameters_of
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
 DOCS = sorted((ROOT / "docs").glob("*.md"))
-PAGES = [README, ROOT / "CONTRIBUTING.md", *DOCS]
+PAGES = [*sorted(ROOT.glob("*.md")), *DOCS]
 GENERATED = "reference.md"
 TROUBLES = ROOT / "docs" / "troubleshooting.md"
 #: Reasons with which nothing is wrong.

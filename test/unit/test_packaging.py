@@ -1,4 +1,4 @@
-"""package.xml, setup.py, constraints.txt, CHANGELOG.rst and the tree say the same."""
+"""What describes the package agrees: setup.py, package.xml, CITATION.cff and the tree."""
 
 import re
 import runpy
@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-_NAME = re.compile(r"^[A-Za-z0-9._-]+")
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +22,22 @@ def setup_arguments():
     return handed
 
 
-def requirement_name(line):
-    return _NAME.match(line).group().lower().replace("_", "-")
+def test_all_places_name_the_same_version(setup_arguments):
+    first = {
+        "package.xml": r"<version>(.+)</version>",
+        "CITATION.cff": r"(?m)^version: (.+)$",
+        "CHANGELOG.rst": r"(?m)^(\d+\.\d+\.\d+) \(",
+        "README.md": r"version = {(.+)}",
+    }
+    texts = {name: (ROOT / name).read_text("utf-8") for name in first}
+    versions = {name: re.search(pattern, texts[name])[1] for name, pattern in first.items()}
+    assert versions == dict.fromkeys(first, setup_arguments["version"])
+
+
+def test_links_of_the_readme_hold_on_a_package_index(setup_arguments):
+    links = re.findall(r"\]\(([^)]+)\)", setup_arguments["long_description"])
+    assert len(links) > 10
+    assert [link for link in links if not link.startswith(("https://", "#"))] == []
 
 
 def test_manifest_names_every_ros_package_that_is_imported():
@@ -51,12 +64,8 @@ def test_every_folder_and_shared_file_is_installed_where_it_lies(setup_arguments
 
 
 def test_requirements_are_bounded_on_both_sides_and_the_demo_needs_no_torch(setup_arguments):
-    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
-    bounds = {requirement_name(line): line for line in lines if line and line[0] != "#"}
-    extras = setup_arguments["extras_require"]
-    requirements = [*setup_arguments["install_requires"], *chain.from_iterable(extras.values())]
-    wanted = {requirement_name(requirement) for requirement in requirements}
-    assert wanted <= bounds.keys()
-    assert [line for line in map(bounds.get, wanted) if not re.search(">=.*<", line)] == []
-    demo = [*setup_arguments["install_requires"], *extras["ros"], *extras["sim"]]
-    assert "torch" not in map(requirement_name, demo)
+    extras, always = setup_arguments["extras_require"], setup_arguments["install_requires"]
+    requirements = [*always, *chain.from_iterable(extras.values())]
+    assert [line for line in requirements if not re.search(">=.*<", line)] == []
+    assert not [line for line in (*always, *extras["sim"]) if line.startswith("torch")]
+    assert {*extras["ros"], *extras["camera"]} <= {*extras["sim"]}
