@@ -1,19 +1,26 @@
 # From a fresh clone to a result: a virtual environment in .venv, then the command.
 #
 #   PYTHON=python3.12    the Python of .venv (3.10 to 3.13); default python3
+#   ROS=kilted           the ROS 2 in the virtual environment; default jazzy
 #   ARGS="..."           more arguments for the command behind a target, e.g. ARGS="-k launcher"
 #   NAME=servo           which experiment (experiments only); default all
 #   BAG=out/run_1        which recording (replay only)
 #   PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu    a torch without CUDA, 2 GB less
 
 PYTHON ?= python3
+ROS ?= jazzy
 ARGS ?=
 
-VENV := .venv
+VENV_jazzy := .venv
+VENV_kilted := .venv-kilted
+VENV := $(or $(VENV_$(ROS)),$(error ROS=$(ROS) is unknown; known are jazzy and kilted))
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
 DATASET := out/collect/dataset.npz
 MODEL := config/models/ur5_front.npz
+
+# For setup.py.
+export FVS_ROS_DISTRO := $(ROS)
 
 # Without HOME and without this, rclpy does not start.
 export ROS_LOG_DIR ?= $(CURDIR)/out/log
@@ -114,22 +121,8 @@ HINT_all := minutes and up to 3 GB for torch
 
 $(VENV)/.installed-%: setup.py $(VENV)/.made | check-python
 	@echo "== install fvs_ros[$(EXTRAS)] into $(VENV): $(HINT_$*), once"
-	@case $(EXTRAS) in test) ;; *) $(install-pybullet) ;; esac
 	@$(PIP) -e '.[$(EXTRAS)]'
 	@touch $@ $(addprefix $(VENV)/.installed-,$(ALSO))
-
-# Where there is no wheel (from Python 3.12 on, or off x86-64) pybullet is compiled. Left to itself,
-# pip would do that without numpy in sight, and camera images would take many times as long.
-define install-pybullet
-$(PIP) --quiet setuptools numpy && \
-if ! $(BIN)/python -c 'import pybullet' >/dev/null 2>&1; then \
-	if ! $(PIP) --only-binary pybullet pybullet >/dev/null 2>&1; then \
-		echo "== compile pybullet (no wheel for this Python): 5 to 10 minutes;" \
-			"needs g++ and python3-dev"; \
-		$(PIP) --no-build-isolation pybullet; \
-	fi; \
-fi
-endef
 
 $(VENV)/.made:
 	@$(call check-version,$(PYTHON))
@@ -144,7 +137,7 @@ define check-version
 version=$$("$(1)" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) || { \
 	echo "There is no Python called '$(1)'. Name one: make ... PYTHON=python3.11" >&2; exit 1; }; \
 case $$version in 3.10|3.11|3.12|3.13) ;; *) \
-	echo "'$(1)' is Python $$version, but fvs_ros needs 3.10 to 3.13 (3.11 installs quickest)." \
+	echo "'$(1)' is Python $$version, but fvs_ros needs 3.10 to 3.13." \
 		"Name another one: make ... PYTHON=python3.11" >&2; exit 1;; esac
 endef
 

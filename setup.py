@@ -4,6 +4,7 @@ The lower bound of a requirement is the oldest version meant to work, the upper 
 major version unknown.
 """
 
+import os
 import re
 from glob import glob
 from pathlib import Path
@@ -13,11 +14,12 @@ from setuptools import find_packages, setup
 PACKAGE = "fvs_ros"
 URL = "https://github.com/fvs-ros/fvs_ros"
 
-#: ROS 2 Jazzy. Plain ros-rclpy and its like would resolve to a newer ROS.
+#: Jazzy or Kilted, by `make ROS=kilted`. Plain ros-rclpy and its like would resolve to the newest.
+DISTRO = os.environ.get("FVS_ROS_DISTRO", "jazzy")
 ROS = [
-    "ros-jazzy-rclpy>=7.1.5,<8",
-    "ros-jazzy-rmw-fastrtps-cpp>=8.4.2,<9",
-    "ros-jazzy-common-interfaces>=5.3.5,<6",
+    f"ros-{DISTRO}-rclpy>=7.1.5,<10",
+    f"ros-{DISTRO}-rmw-fastrtps-cpp>=8.4.2,<10",
+    f"ros-{DISTRO}-common-interfaces>=5.3.5,<6",
     "jinja2>=3.1,<4",
 ]
 # OpenCV 5.0 lacks the hand-eye solvers that the calibration is compared with.
@@ -26,8 +28,15 @@ FIGURES = ["jinja2>=3.1,<4", "matplotlib>=3.8,<4"]
 EXTRAS = {
     "ros": ROS,
     "camera": CAMERA,
-    # pybullet has wheels up to Python 3.11; from 3.12 on it is compiled.
-    "sim": [*ROS, *CAMERA, *FIGURES, "pybullet>=3.2.6,<4"],
+    "sim": [
+        *ROS,
+        *CAMERA,
+        *FIGURES,
+        # From Python 3.12 on it has no wheels; a fork has, equal to the bit, but twice as slow in
+        # drawing whole images.
+        "pybullet>=3.2.6,<4; python_version < '3.12'",
+        "pybullet-arm64>=3.2.8,<4; python_version >= '3.12'",
+    ],
     # The newest torch known to work; without an upper bound pip takes whatever is newest, and its
     # gigabytes of CUDA packages with it.
     "train": ["torch>=2.4,<=2.13.0"],

@@ -35,7 +35,7 @@ try:
         import pybullet
         from pybullet_utils.bullet_client import BulletClient
 except ImportError as error:
-    words = f"the simulator needs pybullet: {how_to_install('sim', ['pybullet'])} ({error})"
+    words = f"the simulator needs pybullet: {how_to_install('sim', ['pybullet-arm64'])} ({error})"
     raise ImportError(words) from None
 
 __all__ = ["BulletClient", "box", "pybullet", "sphere", "without_banner"]

@@ -42,3 +42,19 @@ def test_projection_agrees_to_a_tenth_of_a_pixel():
     assert np.abs(np.mean(shifts, axis=0)).max() < 0.1
     assert np.mean(areas) == pytest.approx(1.0, abs=0.005)
     assert np.abs(depths).max() < 1e-4
+
+
+def test_a_pybullet_without_numpy_draws_the_same(monkeypatch):
+    def as_tuples(*args, **kwargs):
+        return [tuple(np.ravel(part).tolist()) for part in draw_with_numpy(*args, **kwargs)]
+
+    with closing(World(SimConfig(objects=(SceneObject(MIDDLE_M, (RADIUS_M,)),)))) as world:
+        renderer = Renderer(world.client, Intrinsics(40, 30, 30.0, 30.0, 20.0, 15.0))
+        pose = RigidPose(MIDDLE_M - np.array([0.0, 0.0, 0.5]), np.eye(3))
+        rgb, depth_m = renderer.render(pose)
+        draw_with_numpy = world.client.getCameraImage
+        monkeypatch.setattr(world.client, "getCameraImage", as_tuples, raising=False)
+        again_rgb, again_m = renderer.render(pose)
+    assert depth_m.any()
+    assert np.array_equal(again_rgb, rgb)
+    assert np.array_equal(again_m, depth_m)
