@@ -15,7 +15,8 @@ VENV_jazzy := .venv
 VENV_kilted := .venv-kilted
 VENV := $(or $(VENV_$(ROS)),$(error ROS=$(ROS) is unknown; known are jazzy and kilted))
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --disable-pip-version-check
+# Compiling every module would take half of an installation's time; imports compile what they need.
+PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile
 DATASET := out/collect/dataset.npz
 MODEL := config/models/ur5_front.npz
 
