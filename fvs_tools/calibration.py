@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,8 @@ _LEAST_RESIDUAL_M = 6e-5
 _UNEXPLAINED = 0.2
 #: With a zero of this size, rad, the joint turns the other way, or is another.
 _OTHER_RAD = np.radians(10.0)
+#: Okabe and Ito's, told apart by all readers.
+_COLOURS = ("#0072B2", "#E69F00", "#009E73")
 #: Deviations from which on a part counts as off.
 _SIGMAS = 5.0
 
@@ -209,6 +212,12 @@ def notes(estimate: Estimate) -> Iterator[str]:
 
 def report(estimate: Estimate) -> str:
     """The printed summary."""
+    usable = verdict(estimate)[0] != "unusable"
+    return "\n".join(["", *_numbers(estimate), *["", static_transform(estimate)][: 2 * usable]])
+
+
+def _numbers(estimate: Estimate) -> list[str]:
+    """Its lines for printout and picture."""
     word, reason = verdict(estimate)
     model, mean, deviation = estimate.model, estimate.mean, estimate.deviation
     position, quaternion = (
@@ -216,8 +225,7 @@ def report(estimate: Estimate) -> str:
     )
     late_ms = round(1e3 * mean.delay_s.item(), 1) + 0.0  # no -0.0
     late = f"images stamped late: {late_ms:.1f} +- {1e3 * deviation.delay_s.item():.1f} ms"
-    lines = [
-        "",
+    return [
         f"{word}: {reason}",
         f"{model.arm.root} to {model.data.feature_frame}: ({position}) m, "
         f"quaternion ({quaternion})",
@@ -226,9 +234,7 @@ def report(estimate: Estimate) -> str:
         f"residual {1e3 * estimate.median_residual_m:.2f} mm (median); "
         f"{len(model.measured)} images, {estimate.outliers} outliers",
         *(f"note: {note}" for note in notes(estimate)),
-        *([] if word == "unusable" else ["", static_transform(estimate)]),
     ]
-    return "\n".join(lines)
 
 
 def _pose(estimate: Estimate) -> tuple[list[float], list[float]]:
@@ -285,11 +291,39 @@ def write(estimate: Estimate, path: Path) -> None:
     from matplotlib.figure import Figure  # slow, and not needed for --help
 
     path.write_text(yaml.safe_dump(_content(estimate), sort_keys=False), encoding="utf-8")
-    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
-    axes, stamps_s = figure.subplots(), estimate.model.path.stamps_s
-    for name, residual_m in zip("xyz", estimate.residual_m.T, strict=True):
-        axes.plot(stamps_s - stamps_s[0], 1e3 * residual_m, ".", markersize=2, label=name)
+    figure = Figure(figsize=(10.0, 6.6), layout="constrained")
+    lines = "\n".join(line for words in _numbers(estimate) for line in wrap(words, 135))
+    figure.suptitle(lines, size=10, x=0.01, ha="left")
+    model, mean, deviation = estimate.model, estimate.mean, estimate.deviation
+    stamps_s, names = model.path.stamps_s, model.arm.names
+    images, *parts = figure.subplot_mosaic([["images", "images"], ["joints", "links"]]).values()
+    for name, colour, residual_m in zip("xyz", _COLOURS, estimate.residual_m.T, strict=True):
+        look: dict[str, Any] = {"markersize": 3, "color": colour, "label": name}
+        images.plot(stamps_s - stamps_s[0], 1e3 * residual_m, ".", **look)
     limit_mm = 6e3 * max(estimate.median_residual_m, 1e-5)
-    axes.set(xlabel="time, s", ylabel="residual, mm", ylim=(-limit_mm, limit_mm))
-    axes.legend()
+    images.set(xlabel="time (s)", ylabel="residual (mm)", ylim=(-limit_mm, limit_mm))
+    images.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, markerscale=3)
+    unit = np.where(model.arm.prismatic > 0.0, 1e3, np.degrees(1.0))
+    told = np.isfinite(deviation.zeros)  # no image tells the others
+    links = (each.links.reshape(-1, 6)[:, :3] for each in (mean, deviation))
+    bars = {
+        "zeros of joints (degrees; of slides: mm)": (
+            np.array(names)[told],
+            -(unit * mean.zeros)[told],
+            (unit * deviation.zeros)[told],
+        ),
+        "shift of the link before a joint (mm)": (
+            names[1:],
+            *(1e3 * np.linalg.norm(each, axis=1) for each in links),
+        ),
+    }
+    for axes, (title, (labels, values, deviations)) in zip(parts, bars.items(), strict=True):
+        rows = np.arange(len(labels))
+        axes.errorbar(values, rows, xerr=deviations, fmt="o", capsize=3, color=_COLOURS[0])
+        axes.axvline(0.0, color="0.4", linewidth=1)
+        axes.set_yticks(rows, labels)
+        axes.set(xlabel=f"{title}, standard deviation", ylim=(len(labels) - 0.5, -0.5))
+        axes.locator_params(axis="x", nbins=6)
+    for axes in figure.axes:
+        axes.grid(alpha=0.3)
     figure.savefig(path.with_suffix(".png"), dpi=110)

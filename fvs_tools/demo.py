@@ -6,13 +6,14 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.params import parameter
 from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
-from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge, largest_part_m
+from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,8 @@ START_TIMEOUT_S = 30.0
 #: Farthest jump of an object along and across the table and up, m, and about its vertical, rad;
 #: share of it that stays in view of a camera on the arm.
 _JUMP_M, _JUMP_RAD, _IN_VIEW = np.array([0.12, 0.12, 0.05]), np.radians(30.0), 0.4
+#: Okabe and Ito's, told apart by all readers.
+_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 #: The simulator's parameters of the object's place.
 OBJECT = ("object_position_m", "object_rotation_deg")
 
@@ -95,10 +98,9 @@ def table(records: Sequence[TargetRecord]) -> str:
 
     scores, kind = [record.score() for record in records], records[0].kind
     settled_text, fine_text = (f"to {kind.length_text(m)}" for m in (SETTLED_ERROR_M, FINE_ERROR_M))
-    settled = sum(score.settling_5mm_s is not None for score in scores)
     width = max([9, *(len(score.final(kind)) for score in scores)])
     lines = [
-        f"{settled} of {len(records)} targets settled",
+        verdict(records),
         f"{'target':>6}  {'start':>8}  {settled_text:>9}  {fine_text:>9}  {'final rms':>{width}}  "
         f"{'peak joint speed':>16}",
     ]
@@ -120,29 +122,55 @@ def write_results(folder: Path, records: Sequence[TargetRecord]) -> None:
     (folder / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
+def verdict(records: Sequence[TargetRecord]) -> str:
+    """How many targets settled."""
+    settled = sum(record.score().settling_5mm_s is not None for record in records)
+    return f"{settled} of {len(records)} targets settled"
+
+
 def draw(path: Path, records: Sequence[TargetRecord], joint_names: Sequence[str]) -> None:
-    """Draw true errors and joint speeds over time into a PNG file."""
+    """Draw true errors and joint speeds over time into a PNG file, the verdict above them."""
+    from cycler import cycler
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 6.2), layout="constrained")
-    error, speed = figure.subplots(2, 1)
-    origin_s, kind = records[0].start_s, records[0].kind
+    kind, origin_s = records[0].kind, records[0].start_s
     unit, unit_m = ("mm", 1e-3) if kind.rigid else ("px", float(kind.unit[0]))
-    for number, record in enumerate(records, start=1):
-        time_s, errors_m = record.errors_m()
-        parts_m = largest_part_m(record.kind, errors_m)
-        error.semilogy(time_s, parts_m / unit_m, label=f"target {number}")
-        speed.axvline(record.start_s - origin_s, color="0.6")
-    error.axhline(SETTLED_ERROR_M / unit_m, color="0.4", linestyle="--", linewidth=1)
+    panels = {"way_m": (unit, unit_m)}
+    if "arc_m" in kind.parts_m(records[0].errors_m()[1]):
+        panels["arc_m"] = ("degrees", float(np.radians(kind.unit[-1])))
     moments = [(r.start_s - origin_s + t_s, speeds) for r in records for t_s, speeds in r.joints]
+    count = len(panels) + bool(moments)
+    figure = Figure(figsize=(10.0, 2.6 * count + 0.6), layout="constrained")
+    figure.suptitle(f"{verdict(records)}: {kind.what} to target")
+    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+    for axis, (part, (unit, unit_m)) in zip(axes, panels.items(), strict=False):
+        for record in records:
+            time_s, errors_m = record.errors_m()
+            time_s = time_s + record.start_s - origin_s
+            # A logarithmic axis has no zero.
+            lengths_m = np.maximum(kind.parts_m(errors_m)[part], 1e-6)
+            axis.plot(time_s, lengths_m / unit_m, ".-", color=_COLOURS[0], markersize=1.5)
+        bound = SETTLED_ERROR_M / unit_m
+        look: dict[str, Any] = {"linestyle": "--", "linewidth": 1, "color": "0.4"}
+        axis.axhline(bound, label=f"settled: {bound:.2g} {unit}", **look)
+        axis.set(yscale="log", ylabel=f"error ({unit})")
+        axis.yaxis.set_major_formatter("{x:g}")
     if moments:
-        speed.plot(*zip(*moments, strict=True), linewidth=1, label=list(joint_names))
-        speed.legend(fontsize=8, ncols=2)
-    what = kind.what.capitalize()
-    error.set(ylabel=f"error ({unit})", title=f"{what} to its target, largest part")
-    speed.set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
-    error.legend(fontsize=8, ncols=2)
-    for axes in (error, speed):
-        axes.grid(alpha=0.3)
+        axes[-1].set_prop_cycle(cycler(linestyle=("-", "--", ":")) * cycler(color=_COLOURS))
+        axes[-1].plot(*zip(*moments, strict=True), linewidth=1.2, label=list(joint_names))
+        axes[-1].set(ylabel="joint speed (rad/s)")
+    for number in range(0, len(records), 1 + len(records) // 16):  # more labels would overlap
+        start_s, settled_s = records[number].start_s, records[number].score().settling_5mm_s
+        words = "not settled" if settled_s is None else f"{settled_s:.2f} s"
+        text = f"{number + 1}: {words}" if len(records) <= 8 else f"{number + 1}"
+        top = axes[0].get_xaxis_transform()
+        axes[0].text(start_s - origin_s, 1.03, text, fontsize=9, transform=top)
+    for axis in axes:
+        axis.grid(alpha=0.3)
+        axis.set(xlabel="time (s)")
+        axis.tick_params(labelbottom=True)
+        for record in records:
+            axis.axvline(record.start_s - origin_s, color="0.7", linewidth=1, zorder=0)
+        axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)

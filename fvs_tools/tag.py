@@ -18,6 +18,8 @@ from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 
 #: A4.
 _PAGE_MM = np.array([210.0, 297.0])
+#: Width of a glue flap, in widths of a tag.
+_FLAP = 0.2
 
 
 @console.reader_may_leave()
@@ -44,7 +46,6 @@ def draw(tag: Tag, path: Path) -> None:
     A ``ValueError`` if there is no such tag, or they do not fit.
     """
     from matplotlib.figure import Figure  # slow, and not needed for --help
-    from matplotlib.patches import Rectangle
 
     TagReader(tag)  # checks the numbers
     size_mm, pitch_mm = 1e3 * tag.tag_size_m, 1e3 * tag.pitch_m
@@ -67,21 +68,41 @@ def draw(tag: Tag, path: Path) -> None:
         (left, bottom), (right, top) = centre - 0.5 * size_mm, centre + 0.5 * size_mm
         extent = (left, right, bottom, top)
         page.imshow(picture, "gray", interpolation="nearest", aspect="auto", extent=extent)
-        corner = centre - 0.5 * pitch_mm
-        page.add_patch(Rectangle(corner, pitch_mm, pitch_mm, fill=False, color="0.8", lw=0.3))
+    for edges, dashes in zip(_edges(tag), ((), (8, 6)), strict=True):
+        for edge in edges:
+            page.plot(*(middle + pitch_mm * edge).T, color="0.4", linewidth=0.5, dashes=dashes)
     page.set(xlim=(0.0, _PAGE_MM[0]), ylim=(0.0, _PAGE_MM[1]))
-    below = middle[1] - 0.5 * height_mm - 8.0
-    words = f"{tag.tag_dictionary}, number {tag.tag_id}"
+    below = middle[1] - 0.5 * height_mm
+    numbers = f"number {tag.tag_id}"
     if len(tag.faces) > 1:
-        words += f" to {max(tag.faces)}"
-    words += f": a black square is {size_mm:g} mm wide"
+        numbers = f"numbers {tag.tag_id} to {max(tag.faces)}"
+    words = [f"{tag.tag_dictionary}, {numbers}: a black square is {size_mm:g} mm wide"]
     if tag.tag_layout == "cube":
-        words += f"; cut out, fold, and glue to a cube of {pitch_mm:.2f} mm"
-    page.text(middle[0], below, words, ha="center", size=9)
+        words.append(f"cut solid lines, fold dashed ones, glue to a cube of {pitch_mm:.2f} mm")
+    for line, text in enumerate([*words, "this line is 100 mm long"], start=1):
+        page.text(middle[0], below - 8.0 * line, text, ha="center", size=12)
     ends = middle[0] + np.array([-50.0, 50.0])
-    page.plot(ends, [below - 14.0] * 2, "k|-", linewidth=0.5, markersize=9)
-    page.text(middle[0], below - 21.0, "this line is 100 mm long", ha="center", size=9)
+    page.plot(ends, [below - 8.0 * len(words) - 13.0] * 2, "k|-", linewidth=0.5, markersize=9)
     figure.savefig(path, dpi=600)
+
+
+def _edges(tag: Tag) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Edges to cut and to fold, in widths of a tag, each (k, 2) from the middle, right and up."""
+    cuts, folds = dict[tuple[float, ...], np.ndarray](), list[np.ndarray]()
+    for centre in np.array(LAYOUTS[tag.tag_layout]):
+        for out in np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]):
+            along, middle = 0.5 * out[::-1], centre + 0.5 * out
+            edge = np.array([middle - along, middle + along])
+            if cuts.pop(tuple(middle), None) is None:
+                cuts[tuple(middle)] = edge
+            elif tag.tag_layout == "cube":
+                folds.append(edge)
+            # Flaps of two sides of a cube glue all four together.
+            if tag.tag_layout == "cube" and centre[0] and out[1]:
+                flap = edge + _FLAP * np.array([out + 2.0 * along, out - 2.0 * along])
+                cuts[tuple(middle)] = np.array([edge[0], *flap, edge[1]])
+                folds.append(edge)
+    return [*cuts.values()], folds
 
 
 def _parser() -> argparse.ArgumentParser:
