@@ -1,15 +1,22 @@
 """What the pages say of the code is so: files, sentences, commands, links, and their length."""
 
 import re
+import shlex
 from functools import cache
+from importlib.metadata import entry_points
+from itertools import pairwise
 from pathlib import Path
 
+import pytest
 from cases import each
 
+from bench.bench_commands import commands, launched
 from fvs_controller_node.reasons import Reason
+from fvs_ros import stop
+from fvs_ros.arguments import Parser
 from fvs_ros.topics import NODES
 from fvs_tools import reference
-from fvs_tools.scenario import parameters_of
+from fvs_tools.scenario import load_scenario, parameters_of
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -62,11 +69,41 @@ def test_named_files_exist(path):
             assert (ROOT / name).exists(), name
 
 
+class ParsedError(Exception):
+    """Ends a program once its arguments are parsed."""
+
+
 @each_page
-def test_parameters_that_commands_set_exist(path):
-    known = {parameter.name for node in NODES for parameter in parameters_of(node)}
-    for name in re.findall(r"-p (?:\w+:)?([\w.]+):=", page(path)):
-        assert name in {*known, "name"}, name
+def test_programs_take_the_arguments_of_commands(path, monkeypatch, tmp_path):
+    def parse(parser, words=None, namespace=None):
+        given, rest = parser.parse_known_args(words, namespace)
+        raise ParsedError(given, rest)
+
+    monkeypatch.setattr(Parser, "parse_args", parse)
+    monkeypatch.setattr(stop, "listen", lambda: None)  # that of programs, when they are imported
+    programs = {script.name: script for script in entry_points(group="console_scripts")}
+    for command in commands(path):
+        words = shlex.split(command)
+        if scenario := launched(words):
+            words = ["fvs_launch", *scenario]
+        if words[0] in (*NODES, "fvs_servo_node"):
+            known = {parameter.name for node in NODES for parameter in parameters_of(node)}
+            named = {word.partition(":=")[0] for flag, word in pairwise(words) if flag == "-p"}
+            assert named <= known, command
+        elif words[0].startswith("fvs_"):
+            monkeypatch.setattr("sys.argv", words)
+            with pytest.raises(ParsedError) as parsed:
+                programs[words[0]].load()()
+            given, rest = parsed.value.args
+            assert not rest, command
+            if scenario:
+                record = given.record and str(tmp_path / "bag")
+                load_scenario(given.scenario, given.param, given.scheme, record)
+
+
+def test_pages_write_commands_for_an_activated_environment():
+    named = [name for path in DOCS for name in re.findall(r"\.venv/bin/(\w+)", page(path))]
+    assert set(named) == {"activate"}
 
 
 def test_every_reason_is_explained():
