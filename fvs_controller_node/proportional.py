@@ -38,7 +38,7 @@ class ProportionalGains(Parameters):
 
 
 class ProportionalLaw(ControlLaw):
-    """The law (46)."""
+    """Straight to the target, at a speed in proportion to the error: the law (46)."""
 
     Gains = ProportionalGains
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from math import inf, isfinite, nan
+from math import degrees, inf, isfinite, nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,14 +23,15 @@ REFERENCE = f"{topics.CONTROLLER}/reference"
 OBJECT_POSITION = f"{topics.SIM}/object_position_m"
 OBJECT_ROTATION = f"{topics.SIM}/object_rotation_deg"
 #: Display time of the newest value by name, s.
-_SHOWN_S = {"feature": 0.5, "object": 0.5, "controller": SILENT_S, "detector": 2.0, "answer": 12.0}
+_SHOWN_S = {"controller": SILENT_S, "detector": 2.0, "answer": 12.0}
+_SHOWN_S |= dict.fromkeys(("feature", "truth", "object"), 0.5)
 
 
 class Action(NamedTuple):
     """One user action with its value: a target, on or off, or a setting.
 
-    A target is x, y, z, camera frame, m, and its quaternion, w first, where it was turned by hand;
-    or u and v, px, of the first point in each camera's picture.
+    A target is x, y, z, camera frame, m, and, of what turns, its quaternion, w first; or u and v,
+    px, of the first point in each camera's picture.
 
     The name is a service of the controller, ``target``, ``tour``, ``reset`` or ``bump``, ``teach``
     or ``go`` with the name of a reference, or ``node/parameter`` to set a parameter.
@@ -48,21 +49,32 @@ class Controller:
         self.state = values.get("state", SILENT)
         self.reason = values.get("reason", "")
         self.silent = self.state == SILENT
-        self.error_m = self.number("error_m")
         #: Camera frame, m, shape (3,), or None.
-        self.target_m = vector(values, "target_{}_m")
         self.position_m = vector(values, "position_{}_m")
-        #: The target's orientation, a quaternion, w first; NaN while it is unknown, or has none.
-        self.target_wxyz = np.array([self.number(f"target_q{axis}") for axis in "wxyz"])
 
     def number(self, key: str) -> float:
         """A key number; NaN while unknown."""
         return number(self.values, key)
 
+    def target(self, kind: Kind) -> np.ndarray | None:
+        """The target, (m,); None while a part of it is unknown."""
+        ends = [f"{name}_m" if i < kind.box_size else name for i, name in enumerate(kind.columns)]
+        numbers = np.array([self.number(f"target_{end}") for end in ends])
+        return kind.of_columns(numbers) if np.isfinite(numbers).all() else None
+
     def target_px(self, kind: Kind) -> np.ndarray:
         """The target's image points, px, by camera, (C, K, 2); NaN while unknown."""
         numbers = [self.number(f"target_{column}") for column in kind.columns]
         return np.reshape(numbers, (len(kind.cameras), -1, 2))
+
+    def errors(self, kind: Kind) -> dict[str, float]:
+        """Lengths of the estimated error, m and rad, by name; NaN while unknown."""
+        return {key: self.number(key) for key in kind.status_values(None)}
+
+
+def way_m(errors: Mapping[str, float]) -> float:
+    """The distance among the lengths of an error: of what turns too, not its angle."""
+    return errors.get("way_m", errors["error_m"])
 
 
 class Trace:
@@ -73,8 +85,8 @@ class Trace:
         self._rows: deque[np.ndarray] = deque()
 
     def add(self, now_s: float, values: np.ndarray) -> None:
-        """Append finite numbers, shape (columns,); others are left out."""
-        if np.isfinite(values).all():
+        """Append numbers, shape (columns,), if one of them is finite; NaN leaves a gap."""
+        if np.isfinite(values).any():
             self._rows.append(np.array([now_s, *values]))
 
     def window(self, now_s: float) -> np.ndarray:
@@ -92,9 +104,9 @@ class Board:
     def __init__(self, n_joints: int, kind: Kind | None = None) -> None:
         self._kind = kind or Ball()
         self._newest: dict[tuple[str, int], tuple[float, Any]] = {}
-        #: Curves: distance to the target and its parts x, y, z, mm or px; joint speeds, rad/s;
-        #: one-step prediction error over that of predicting rest.
-        self.error = Trace(1 + self._kind.box_size)
+        #: Curves: estimated and true distance to the target, mm or px, and angle, degrees; joint
+        #: speeds, rad/s; one-step prediction error over that of predicting rest.
+        self.error = Trace(3)
         self.speed_rad_s = Trace(n_joints)
         self.ratio = Trace(1)
         #: Frame and pose in it, (4, 4), m, of the camera; None while not known.
@@ -118,11 +130,11 @@ class Board:
     def add_status(self, now_s: float, controller: Controller) -> None:
         """Add the controller's status."""
         self.note("controller", now_s, controller)
-        if not self._kind.rigid:
-            self.error.add(now_s, controller.error_m / self._kind.unit[:1])
-        elif controller.target_m is not None and controller.position_m is not None:
-            parts_m = [controller.error_m, *(controller.target_m - controller.position_m)]
-            self.error.add(now_s, 1e3 * np.abs(parts_m))
+        estimated = controller.errors(self._kind)
+        unit_m = 1e-3 if self._kind.rigid else self._kind.unit[0]
+        ways_m = np.array([way_m(estimated), way_m(self.true_errors(now_s))])
+        angle_deg = degrees(estimated.get("angle_rad", nan))
+        self.error.add(now_s, np.append(ways_m / unit_m, angle_deg))
         if self.feature(now_s) is not None:
             self.ratio.add(now_s, np.array([controller.number("prediction_error_ratio")]))
 
@@ -131,11 +143,18 @@ class Board:
         since_s, value = self._newest.get((name, camera), (-inf, None))
         return value if now_s - since_s <= _SHOWN_S.get(name, inf) else None
 
-    def feature(self, now_s: float) -> np.ndarray | None:
-        """What is servoed, (m,), if all cameras see it."""
+    def feature(self, now_s: float, name: str = "feature") -> np.ndarray | None:
+        """What is servoed, (m,), if all cameras see it; or a simulator's ``truth`` of it."""
         cameras = range(len(self._kind.cameras))
-        parts = [self.newest("feature", now_s, camera) for camera in cameras]
+        parts = [self.newest(name, now_s, camera) for camera in cameras]
         return None if any(part is None for part in parts) else np.concatenate(parts)
+
+    def true_errors(self, now_s: float) -> dict[str, float]:
+        """Lengths of the true error, m and rad, by name; NaN without a simulator."""
+        truth, target = self.feature(now_s, "truth"), self.controller(now_s).target(self._kind)
+        known = truth is not None and target is not None
+        error_m = self._kind.minus(target, truth) if known else None  # type: ignore[arg-type]
+        return self._kind.status_values(error_m)
 
     def parameter(self, node: str, name: str) -> Any:
         """A node's parameter; None while it is not known."""

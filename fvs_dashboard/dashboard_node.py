@@ -100,12 +100,14 @@ class DashboardNode(ros.FvsNode):
             self.create_publisher(ros.message_class(each.type), each.name, ros.QOS_EVENT)
             for each in (part.topics.target for part in kind.parts)
         ]
-        self._joint_states = ros.Sampled(
-            self, JointState, topics.JOINT_STATES.name, self._on_joint_states
-        )
+        name = topics.JOINT_STATES.name
+        self._sampled = [ros.Sampled(self, JointState, name, self._on_joint_states)]
         for camera, part in enumerate(kind.parts):
             on_feature = partial(self._on_feature, part.feature, "feature", camera)
             self.subscribe(part.feature, on_feature)
+            truth, on_truth = part.truth, partial(self._on_feature, part.truth, "truth", camera)
+            message = ros.message_class(truth.type)
+            self._sampled.append(ros.Sampled(self, message, truth.name, on_truth))
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
         self.subscribe(topics.DETECTOR_STATUS, self._on_detector)
         if not kind.rigid:
@@ -188,7 +190,7 @@ class DashboardNode(ros.FvsNode):
 
     def _show(self) -> None:
         self._calls.repeat_stop()
-        for topic in (self._joint_states, *self._cameras):
+        for topic in (*self._sampled, *self._cameras):
             topic.look()
         now_s = self.steady_s()
         self._send_tour(now_s)
@@ -307,28 +309,20 @@ class DashboardNode(ros.FvsNode):
     def _aim(self, numbers: Sequence[float]) -> None:
         """Send a user's target.
 
-        A position without rotation keeps that of the last target; of image points, each camera's
-        are shifted from where they are seen, so that the first is there.
+        Of image points, each camera's are shifted from where they are seen, so that the first is
+        there.
         """
-        kind, now_s = self._kind, self.steady_s()
-        z = self._board.feature(now_s)
-        if not kind.rigid:
-            target = shifted(z, np.array(numbers), kind)
-            if target is None:
-                self._answer("not done: some points are not seen; where they shall be is unknown")
-            else:
-                self._send_target(target)
-            return
-        position_m = np.array(numbers[:3])
-        quaternion = np.roll(numbers[3:] or self._board.controller(now_s).target_wxyz, -1)
-        if np.isfinite(quaternion).all():
-            target = kind.of_body(position_m, Rotation.from_quat(quaternion).as_matrix())
+        target: np.ndarray | None
+        if self._kind.rigid:
+            rotation = Rotation.from_quat(np.roll(numbers[3:] or (1.0, 0.0, 0.0, 0.0), -1))
+            target = self._kind.of_body(np.array(numbers[:3]), rotation.as_matrix())
         else:
-            target = np.append(position_m, [] if z is None else z[3:])
-        if len(target) == kind.numbers:
+            z = self._board.feature(self.steady_s())
+            target = shifted(z, np.array(numbers), self._kind)
+        if target is None:
+            self._answer("not done: some points are not seen; where they shall be is unknown")
+        else:
             self._send_target(target)
-        else:
-            self._answer(f"not done: no {kind.what} yet, so its rotation is unknown")
 
     def _answer(self, text: str) -> None:
         self._board.note("answer", self.steady_s(), text)

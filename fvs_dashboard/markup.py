@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from html import escape
-from math import degrees, isfinite, isnan
+from math import degrees, isfinite, isnan, nan
 from pathlib import Path
 
 from fvs_controller_node.references import Reference
 from fvs_controller_node.relation import OBJECT_FRAME
-from fvs_dashboard.board import Board, Controller
+from fvs_dashboard.board import Board, way_m
 from fvs_ros.kinds import Kind
 from fvs_ros.status import SILENT
 
@@ -21,6 +21,7 @@ GREY = "#8A8F98"
 _TITLES = {"SERVOING": "Moving", "HOLDING": "Held", SILENT: "No controller"}
 #: Time without a heartbeat after which the page reports that its program has ended, s.
 LOST_S = 5.0
+_UNKNOWN = "not drawn: the camera's pose is unknown; calibrate (fvs_launch calibrate)"
 #: Inputs of the controller, and what a person calls them.
 _INPUTS = {"joint_states": "Joint states", "jacobian": "Jacobian"}
 #: Services that nodes ask for, and the buttons that call them.
@@ -50,34 +51,40 @@ def in_words(sentence: str) -> str:
     )
 
 
-def distance(kind: Kind, error_m: float) -> str:
-    """A distance as text in mm, two decimals below 10 mm, or in px."""
-    return "–" if isnan(error_m) else kind.length_text(error_m, 2 if error_m < 0.01 else 0)
+def distance(kind: Kind, errors: Mapping[str, float]) -> str:
+    """A distance, and of what turns an angle, as text; never finer than a tenth."""
+    far_m, angle_rad = way_m(errors), errors.get("angle_rad", nan)
+    if isnan(far_m):
+        return "–"
+    texts = [kind.length_text(far_m, int(far_m < 0.01))]
+    if isfinite(angle_rad):
+        texts.append(f"{degrees(angle_rad):.1f}°")
+    return ", ".join(re.sub(r"^0\.0\b", "&lt; 0.1", text) for text in texts)
 
 
-def banner_html(controller: Controller, kind: Kind) -> str:
-    """The banner, readable from a distance: state, reason and error, with a fixed height.
+def banner_html(board: Board, kind: Kind, now_s: float) -> str:
+    """The banner, readable from a distance: state, error, reason, and the answer to an action.
 
-    A refused target is shown beside its numbers instead.
+    It is as high as its text, over the picture below it, so that no button moves.
     """
+    controller, true = board.controller(now_s), distance(kind, board.true_errors(now_s))
     title = _TITLES.get(controller.state, controller.state.capitalize())
-    words = controller.sentence.replace(f" ({controller.values.get('refused_target')})", "")
-    sentence, _, hint = words.partition("; ")
+    sentence, _, hint = controller.sentence.partition("; ")
     if controller.reason in ("SERVOING", "SETTLED"):  # title and distance say all but remarks
-        said, _, remark = words.partition(" (")
+        said, _, remark = controller.sentence.partition(" (")
         sentence, hint = remark.removesuffix(")"), said.partition("; ")[2]
         title = "On target" if controller.reason == "SETTLED" else title
-    sentence, hint = escape(in_words(sentence)), escape(in_words(hint))
-    error, angle_rad = distance(kind, controller.error_m), controller.number("angle_rad")
-    if isfinite(angle_rad):
-        error = f"{distance(kind, controller.number('way_m'))}, {degrees(angle_rad):.2f}°"
+    lines = {"sentence": sentence, "hint": hint, "answer": board.newest("answer", now_s) or ""}
+    text = "".join(
+        f'<div id="fvs-{name}">{escape(in_words(words))}</div>' for name, words in lines.items()
+    )
+    known = "" if true == "–" else f"estimated; true {true}"
+    error = distance(kind, controller.errors(kind))
     return (
-        f'<div id="fvs-banner" data-state="{escape(controller.state)}" '
-        f'title="{sentence}. {hint}"><div class="fvs-head">'
-        f"<span>{escape(title)}</span>"
-        f'<span id="fvs-error" class="fvs-number">{error}</span></div>'
-        f'<div class="fvs-clip" style="-webkit-line-clamp:5"><span id="fvs-sentence">{sentence}'
-        f'</span><div id="fvs-hint" style="opacity:0.85">{hint}</div></div></div>'
+        f'<div class="fvs-over{" fvs-alone" * (not kind.rigid)}">'
+        f'<div id="fvs-banner" data-state="{escape(controller.state)}"><div class="fvs-head">'
+        f'<span>{escape(title)}</span><span id="fvs-error" class="fvs-number">'
+        f'{error}</span></div><div id="fvs-true" class="fvs-number">{known}</div>{text}</div></div>'
     )
 
 
@@ -86,8 +93,19 @@ def line_html(name: str, text: str) -> str:
     text = escape(in_words(text))
     return (
         f'<div class="fvs-small" title="{text}" style="height:2.6em">'
-        f'<div id="fvs-{name}" class="fvs-clip" style="-webkit-line-clamp:2">{text}</div></div>'
+        f'<div id="fvs-{name}" class="fvs-clip">{text}</div></div>'
     )
+
+
+def caption_html(text: str) -> str:
+    """A text over the lower edge of the picture before it."""
+    return f'<div class="fvs-caption"><div id="fvs-picture">{escape(text)}</div></div>'
+
+
+def meanings(known: Mapping[str, type]) -> str:
+    """What the names in a registry stand for, a line each."""
+    firsts = {name: (each.__doc__ or "").partition("\n")[0] for name, each in known.items()}
+    return "\n".join(f"{name}: {first}" for name, first in firsts.items()).replace("``", "")
 
 
 def reference_labels(references: Mapping[str, Reference | str]) -> dict[str, str]:
@@ -118,7 +136,8 @@ def inputs_html(board: Board, kind: Kind, now_s: float) -> str:
     controller = board.controller(now_s)
     details = {}
     parts = zip(kind.parts, kind.cameras, strict=True)
-    seen = {part.feature.name: f"Seen {name}".strip() for part, name in parts}
+    what = kind.what.capitalize()
+    seen = {part.feature.name: f"{what} {name}".strip() for part, name in parts}
     # Last what is seen: also where that is the object.
     labels = {**seen, **_INPUTS, kind.topics.object.name: "Object", **seen}
     for name, label in labels.items():
@@ -128,18 +147,19 @@ def inputs_html(board: Board, kind: Kind, now_s: float) -> str:
         del details["Object"]
     running = controller.values.get("robot_program_running")
     percent = controller.number("speed_scaling_percent")
-    details["Robot program"] = {"true": "runs", "false": "stopped"}.get(running or "", "unknown")
+    details["Program"] = {"true": "runs", "false": "stopped"}.get(running or "", "unknown")
     if isfinite(percent):
-        details["Robot program"] += f", {percent:.0f} %"
+        details["Program"] += f", {percent:.0f} %"
     for label, key in (("Image latency", "image_latency_s"), ("Drive lag", "drive_lag_s")):
         details[label] = f"{1e3 * controller.number(key):.0f} ms"
     details["Active limit"] = controller.values.get("active_limit") or "none"
     if controller.silent:
         details = {}
-    if detector := board.newest("detector", now_s):
-        details["Detector"] = detector
+    arm = _UNKNOWN if board.camera is None else board.newest("arm", now_s)
+    wide = {"Detector": board.newest("detector", now_s), "Arm": arm if kind.rigid else ""}
+    details |= {name: words for name, words in wide.items() if words}
     cells = (
-        f'<div class="{"fvs-wide" if name == "Detector" else ""}">'
+        f'<div class="{"fvs-wide" if name in wide else ""}">'
         f'<span class="fvs-faint">{escape(name)}</span> {escape(text)}</div>'
         for name, text in details.items()
     )
@@ -153,7 +173,7 @@ def alive_html(beat: int) -> str:
     another name.
     """
     return (
-        '<div style="position:relative;height:0;z-index:8;pointer-events:none">'
+        '<div class="fvs-over" style="height:0;z-index:9;pointer-events:none">'
         f'<div id="fvs-lost" style="animation-name:fvs-lost-{beat % 2};animation-delay:{LOST_S}s">'
         f"No word from this page's program for {LOST_S:g} s: what stands here is old, and Stop "
         "does nothing. Use the robot's own stop. Where the program runs again, reload the page."
@@ -168,9 +188,4 @@ def legend_html(signs: Iterable[tuple[str, tuple[int, int, int], str]]) -> str:
         f"{escape(words)}</span>"
         for sign, colour, words in signs
     ]
-    return f'<div class="fvs-small" style="display:flex;gap:0.9em">{"".join(cells)}</div>'
-
-
-def note_html(note: str) -> str:
-    """A sentence about the page itself."""
-    return f'<div id="fvs-note" class="fvs-small">{escape(note)}</div>'
+    return f'<div class="fvs-small fvs-legend">{"".join(cells)}</div>'

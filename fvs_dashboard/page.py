@@ -7,7 +7,7 @@ import io
 import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
 from math import inf, isfinite, nan
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import viser
 from viser import uplot
+from viser.transforms import SO3
 
 from fvs_controller_node.config import LAWS
 from fvs_dashboard import markup, picture
@@ -22,13 +23,11 @@ from fvs_dashboard.board import HISTORY_S, REFERENCE, Action, Board
 from fvs_dashboard.clicks import TRACK, Clicks
 from fvs_dashboard.config import VISER, DashboardConfig
 from fvs_dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
-from fvs_dashboard.scene import LEGENDS, Scene
+from fvs_dashboard.scene import Scene, legend
 from fvs_dashboard.wall import Wall
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros import topics
 from fvs_ros.kinds import Kind
-
-_UNKNOWN = "the camera's pose is unknown: the arm is not drawn; calibrate (fvs_launch calibrate)"
 
 
 class _Server(viser.ViserServer):
@@ -65,28 +64,21 @@ class Page:
             dark_mode=True, show_logo=False, show_share_button=False, brand_color=(0, 114, 178)
         )
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(350)
+        gui.main_panel.set_width(346)
         self._panel = Panel(gui, act, config)
         curves = gui.add_panel()
         with curves.add_tab("Curves", viser.Icon.CHART_LINE):
             self._charts = Charts(gui, joint_names, self._kind)
             self._inputs = gui.add_html("")
             if self._kind.rigid:
-                gui.add_html(markup.legend_html(LEGENDS[config.camera_mount]))
-            self._note = gui.add_html("")
+                gui.add_html(markup.legend_html(legend(self._kind)))
         curves.dock_left()
-        curves.set_width(400)
+        curves.set_width(376)
         self._shown = 0
         if not self._kind.rigid:
             self._wall = Wall(server, len(self._kind.cameras), self._panel.clicked)
             return
         self.scene = Scene(server, config.ball_radius_m, config.kind, self._dragged)
-        # Behind the simulator's camera, so that view and picture have the same orientation; nearer
-        # to one on the arm.
-        on_arm = config.kind.on_arm
-        server.initial_camera.position = (1.9, -0.9, 0.8) if on_arm else (2.9, -1.05, 1.4)
-        server.initial_camera.look_at = (0.3, -0.1, 0.2) if on_arm else (0.6, -0.3, 0.42)
-        server.initial_camera.fov = 0.8
 
     def _dragged(self, action: Action) -> None:
         self._panel.forget_typed()
@@ -119,8 +111,6 @@ class Page:
             if self._shown % 4 == 0:  # the curves are long and change slowly
                 self._charts.update(board, now_s)
                 self._inputs.content = markup.inputs_html(board, self._kind, now_s)
-                note = _UNKNOWN if board.camera is None else board.newest("arm", now_s) or ""
-                self._note.content = markup.note_html(note * self._kind.rigid)
         self._shown += 1
 
     def _show_wall(self, board: Board, pictures: Sequence[picture.Picture], now_s: float) -> None:
@@ -184,12 +174,22 @@ class Panel:
         self._settings: dict[str, viser.GuiInputHandle] = {}
         self._labels: dict[str, str] = {}  # names of references by the words on their buttons
         gui.add_html(markup.STYLE + markup.TOP_ROW)
-        self._button("Start", "start", color="teal", icon=viser.Icon.PLAYER_PLAY)
-        self._button("Stop", "stop", color="red", icon=viser.Icon.PLAYER_STOP)
+        hint = "Lets the arm move to the target."
+        self._button("Start", "start", color="teal", icon=viser.Icon.PLAYER_PLAY, hint=hint)
+        hint = "Brings the arm to rest until the next start."
+        self._button("Stop", "stop", color="red", icon=viser.Icon.PLAYER_STOP, hint=hint)
         self._alive = gui.add_html("")
         self._beat_s, self._beats = -inf, 0
         self._banner = gui.add_html("")
-        self._answer = gui.add_html("")
+        signs = [("+", picture.TARGET_RGB, "target")]
+        if self._kind.rigid:
+            self._picture = gui.add_image(
+                picture.blank(picture.PANEL_PX), format="jpeg", jpeg_quality=75
+            )
+            self._words = gui.add_html("")
+        else:
+            signs.append(("○", picture.MEASURED_RGB, "as measured"))
+        gui.add_html(markup.legend_html(signs))
         tour = config.tour or bool(config.model_path)
         if self._kind.rigid:
             self._add_target(tour)
@@ -197,25 +197,13 @@ class Panel:
             self._add_aim(tour)
         self._add_references()
         with gui.add_folder("Scheme", expand_by_default=False):
-            estimator = gui.add_dropdown("Estimator", tuple(ESTIMATORS))
-            self._sets(f"{topics.ESTIMATOR}/method", estimator)
-            self._sets(f"{topics.CONTROLLER}/law", gui.add_dropdown("Law", tuple(LAWS)))
+            self._add_choice("Estimator", f"{topics.ESTIMATOR}/method", ESTIMATORS)
+            self._add_choice("Law", f"{topics.CONTROLLER}/law", LAWS)
         row = gui.add_html(markup.ROW)
         hint = "Stops, forgets what was learned, and puts simulated arm and camera back."
         self._button("Reset", "reset", color="gray", hint=hint)
-        hint = "Turns the simulated camera by chance."
+        hint = "Turns the simulated camera by a random angle: the arm must find its targets anew."
         bump = self._button("Bump the camera", "bump", color="gray", hint=hint)
-        self._words = gui.add_html("")
-        signs = [("+", picture.TARGET_RGB, "target")]
-        if self._kind.rigid:
-            self._picture = gui.add_image(
-                picture.blank(picture.PANEL_PX), format="jpeg", jpeg_quality=75
-            )
-        else:
-            signs.append(("○", picture.MEASURED_RGB, "as measured"))
-        gui.add_html(markup.legend_html(signs))
-        if not self._kind.rigid:
-            self._add_undo()
         simulator = gui.add_folder("Simulator: disturb it", expand_by_default=False)
         with simulator:
             hint = "Times the depth camera's own noise."
@@ -243,8 +231,11 @@ class Panel:
     def _add_target(self, tour: bool) -> None:
         of_what = " of the object" * self._kind.on_arm
         with self._gui.add_folder(f"Target{of_what} in the camera's frame"):
-            start = (0.0, 0.0, 0.0)
-            self._add_go([self._gui.add_vector3("x, y, z (m)", start, step=0.001)], tour)
+            fields, start = {"x, y, z (m)": 0.001}, (0.0, 0.0, 0.0)
+            if self._kind.size > 3:
+                fields["turned about x, y, z (°)"] = 0.1
+            add = self._gui.add_vector3
+            self._add_go([add(name, start, step=step) for name, step in fields.items()], tour)
 
     def _add_aim(self, tour: bool) -> None:
         """The target in each camera's picture, and what a click there does."""
@@ -253,16 +244,14 @@ class Panel:
             hint = "Sets the target, or what the detector follows: any patch, as it looks now."
             words = "sets the target", "track this"
             self._click = gui.add_dropdown("A click", words, hint=hint)
-            self._next = gui.add_html("")
+            self._words = gui.add_html("")
             fields = [
                 gui.add_vector2(f"{name} u, v (px)".strip(), (0.0, 0.0), step=0.1)
                 for name in self._kind.cameras
             ]
             self._add_go(fields, tour)
-
-    def _add_undo(self) -> None:
-        hint = "The detector looks for ball or tags again."
-        undo = self._gui.add_button("Track nothing", color="gray", hint=hint)
+            hint = "The detector looks for ball or tags again."
+            undo = gui.add_button("Track nothing", color="gray", hint=hint)
 
         @undo.on_click
         async def _(_event: viser.GuiEvent) -> None:
@@ -272,24 +261,23 @@ class Panel:
     def _add_go(self, fields: list[Any], tour: bool) -> None:
         gui, self._fields = self._gui, fields
         gui.add_html(markup.ROW)
-        go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW)
-        self._button("Set current as target", "set_current_as_target", color="gray")
-        self._refusal = gui.add_html("")
-        hint = "Send it to one after another."
+        hint = "Makes these numbers the target. The arm moves if it was started."
+        go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW, hint=hint)
+        hint = "Makes where it is now the target."
+        self._button("Set current as target", "set_current_as_target", color="gray", hint=hint)
+        hint = "Sends a random target every five seconds."
         self._sets("tour", gui.add_checkbox("Tour", False, visible=tour, hint=hint))
 
-        async def hold(event: viser.GuiEvent) -> None:
-            if event.client is not None:
-                self._hold("target", _TYPED_S)
-
         for field in fields:
-            field.on_update(hold)
+            self._watch("target", field, _TYPED_S)
 
         @go.on_click
         async def _(_event: viser.GuiEvent) -> None:
             self.clicks.forget()
             self._hold("target", _SET_S)  # until the controller has taken it
-            numbers = (float(value) for field in fields for value in field.value)
+            numbers = [float(value) for field in fields for value in field.value]
+            if self._kind.rigid:
+                numbers[3:] = SO3.exp(np.radians(numbers[3:])).wxyz.tolist() if numbers[3:] else []
             self._act(Action("target", tuple(numbers)))
 
     def clicked(self, camera: int, at_px: np.ndarray) -> None:
@@ -316,10 +304,7 @@ class Panel:
             gui.add_html(markup.LIST)
             self._references = gui.add_button_group("Go to", ("",), visible=False, hint=hint)
 
-        @self._name.on_update
-        async def _(event: viser.GuiEvent) -> None:
-            if event.client is not None:
-                self._hold(REFERENCE, _TYPED_S)
+        self._watch(REFERENCE, self._name, _TYPED_S)
 
         @self._references.on_click
         async def _(_event: viser.GuiEvent) -> None:
@@ -327,42 +312,49 @@ class Panel:
             self._hold(REFERENCE, _SET_S)  # until the controller has taken it
             self._act(Action("go", self._name.value))
 
+    def _add_choice(self, label: str, name: str, known: Mapping[str, type]) -> None:
+        hint = markup.meanings(known)
+        self._sets(name, self._gui.add_dropdown(label, tuple(known), hint=hint))
+
     def _sets(self, name: str, handle: viser.GuiInputHandle) -> None:
         """Forward the user's settings, and otherwise show the present value."""
         self._settings[name] = handle
+        self._watch(name, handle, _SET_S)
+
+    def _watch(self, name: str, handle: viser.GuiInputHandle, hold_s: float) -> None:
+        """Do not overwrite what a user sets; forward it, if it is a setting."""
 
         @handle.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._hold(name, _SET_S)
-                self._act(Action(name, handle.value))
+                self._hold(name, hold_s)
+                if name in self._settings:
+                    self._act(Action(name, handle.value))
 
     def update(self, board: Board, now_s: float, pictures: Sequence[picture.Picture]) -> None:
         """Show a moment, and how old the pictures are."""
         if now_s - self._beat_s > 0.2 * markup.LOST_S:  # a heartbeat to the browser
             self._beat_s, self._beats = now_s, self._beats + 1
             self._alive.content = markup.alive_html(self._beats)
-        controller = board.controller(now_s)
-        self._banner.content = markup.banner_html(controller, self._kind)
-        self._answer.content = markup.line_html("answer", board.newest("answer", now_s) or "")
-        refusal = controller.values.get("refused_target", "")
-        self._refusal.content = markup.line_html("refusal", refusal)
-        words = zip(self._kind.cameras, (each.words(now_s) for each in pictures), strict=True)
-        text = "; ".join(f"{name}: " * bool(name) + each for name, each in words if each)
-        self._words.content = markup.line_html("picture", text)
-        if self._kind.rigid:
-            image = pictures[0].newest(pictures[0].pixels(controller.target_m))
+        self._banner.content = markup.banner_html(board, self._kind, now_s)
+        controller, kind = board.controller(now_s), self._kind
+        target = controller.target(kind)
+        if target is None:
+            target = board.feature(now_s)  # to begin with
+        if kind.rigid:
+            target_px = pictures[0].pixels(controller.target(kind))
+            image = pictures[0].newest(target_px)
             if image is not None:
                 self._picture.image = image
-            shown = [] if controller.target_m is None else [np.round(controller.target_m, 3)]
+            self._words.content = markup.caption_html(pictures[0].words(now_s, target_px))
         else:
-            self._next.content = markup.line_html("next", self.clicks.words)
-            first_px, z = controller.target_px(self._kind)[:, 0], board.feature(now_s)
-            if z is not None and np.isnan(first_px).any():  # no target yet
-                first_px = z.reshape(len(first_px), -1, 2)[:, 0]
-            shown = list(np.round(first_px, 1))
-        if np.isfinite(shown).all() and self._free("target"):
-            for field, numbers in zip(self._fields, shown, strict=False):
+            targets_px = controller.target_px(kind)
+            words = (p.words(now_s, px) for p, px in zip(pictures, targets_px, strict=True))
+            named = zip(kind.cameras, words, strict=True)
+            text = "; ".join(f"{name}: " * bool(name) + each for name, each in named if each)
+            self._words.content = markup.line_html("next", self.clicks.words or text)
+        if target is not None and self._free("target"):
+            for field, numbers in zip(self._fields, _typed(kind, target), strict=True):
                 field.value = tuple(numbers.tolist())
         self._show_references(board)
         for element in self._simulated:
@@ -397,6 +389,15 @@ class Panel:
         return time.monotonic() > self._held_until_s.get(name, -inf)
 
 
+def _typed(kind: Kind, z: np.ndarray) -> list[np.ndarray]:
+    """The fields of a target, (m,): position, m, and rotation vector, degrees; or first points."""
+    if not kind.rigid:
+        return list(np.round(z.reshape(len(kind.cameras), -1, 2)[:, 0], 1))
+    rotation = kind.rotation(z)
+    turned = [] if rotation is None else [np.round(np.degrees(SO3.from_matrix(rotation).log()), 1)]
+    return [np.round(z[:3], 3), *turned]
+
+
 # --- the curves ---
 
 
@@ -424,14 +425,13 @@ class Charts:
             name.removesuffix("_joint").removeprefix("shoulder_").replace("_", " ")
             for name in joint_names
         )
+        unit, turns = "mm" if kind.rigid else "px", kind.rigid and kind.size > 3
         self._error = self._add(
-            f"Distance to the target, {'mm' if kind.rigid else 'px'}",
+            f"Distance to the target, {unit}" + ", and angle, °" * turns,
             _logarithmic(0.01, 1000.0),
-            _series("distance", "#F2F4F7", 2.25),
-            *(
-                _series(f"|{axis}|", markup.COLOURS[i], 1.0)
-                for i, axis in enumerate("xyz"[: kind.box_size])
-            ),
+            _series("estimated", "#F2F4F7", 2.25),
+            _series("true (simulator)", markup.COLOURS[0]),
+            *[_series("angle", markup.COLOURS[1])] * turns,
         )
         self._speed = self._add(
             "Joint speeds and their limit, rad/s",
@@ -440,10 +440,10 @@ class Charts:
             _level("limit"),
         )
         self._ratio = self._add(
-            "One-step prediction error (1: as bad as predicting rest)",
+            "Prediction error of the Jacobian",
             _logarithmic(0.001, 10.0),
-            _series("error ratio", markup.COLOURS[0], 2.0),
-            _level("as bad as none"),
+            _series("over that of predicting rest", markup.COLOURS[0], 2.0),
+            _level("useless"),
         )
 
     def _add(self, title: str, scale: dict, *series: uplot.Series) -> viser.GuiUplotHandle:
@@ -474,7 +474,7 @@ class Charts:
             self._limit_rad_s = limit_rad_s  # a new scale rebuilds the chart
             scale = {"range": (0.0, 1.2 * limit_rad_s)}
             self._speed.scales = {**self._speed.scales, "y": scale}
-        self._draw(self._error, board.error.window(now_s))
+        self._draw(self._error, board.error.window(now_s)[:, : len(self._error.data)])
         self._draw(self._speed, board.speed_rad_s.window(now_s), limit_rad_s)
         self._draw(self._ratio, board.ratio.window(now_s), 1.0)
 

@@ -40,19 +40,22 @@ class Picture:
         self._exposed_s, self._image = exposed_s, image_rgb
         self.size_px = np.array(image_rgb.shape[1::-1])
 
-    def words(self, now_s: float) -> str:
-        """The age of an old picture, or why there is none; empty for a new one."""
+    def words(self, now_s: float, targets_px: np.ndarray) -> str:
+        """Why there is no picture, or its age if it is old, and which target it does not show."""
         if self._exposed_s == inf:
             return self.waits_for
         age_s = now_s - self._exposed_s
-        return f"the picture is {age_s:.0f} s old" if age_s > 2.0 else ""
+        old = [f"the picture is {age_s:.0f} s old"] * (age_s > 2.0)
+        outside = np.any((targets_px < 0.0) | (targets_px >= self.size_px))  # false for NaN
+        return "; ".join([*old, *["the target is outside the picture"] * bool(outside)])
 
-    def pixels(self, target_m: np.ndarray | None) -> np.ndarray:
-        """Where a target, camera frame, m, is in the image, px, (1, 2) or, unknown, (0, 2)."""
-        # A point behind the camera, or at its plane, has no pixel.
-        if self.intrinsics is None or target_m is None or target_m[2] <= 0.05:
+    def pixels(self, target: np.ndarray | None) -> np.ndarray:
+        """Where a target, x, y, z, m, ..., is in the image, px, (1, 2) or, unknown, (0, 2)."""
+        if self.intrinsics is None or target is None:
             return np.zeros((0, 2))
-        return self.intrinsics.project(target_m[None])
+        if target[2] <= 0.05:  # behind the camera, or at its plane
+            return np.full((1, 2), -inf)
+        return self.intrinsics.project(target[None, :3])
 
     def newest(self, targets_px: np.ndarray, measured_px: Sequence = ()) -> np.ndarray | None:
         """The picture, uint8, shape (height, width, 3), if it or a target changed since last.

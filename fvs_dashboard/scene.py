@@ -8,29 +8,39 @@ import time
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
 from math import inf
+from typing import Any
 
 import numpy as np
+import trimesh
 import viser
 import yourdfpy
+from trimesh.visual.material import SimpleMaterial
+from trimesh.visual.texture import TextureVisuals
 from viser.extras import ViserUrdf
 from viser.transforms import SE3, SO3
 
 from fvs_dashboard.board import OBJECT_POSITION, OBJECT_ROTATION, Action, Board
 from fvs_dashboard.picture import TARGET_RGB
 from fvs_ros import topics
-from fvs_ros.kinds.kind import FIXED, ON_ARM, Kind
+from fvs_ros.kinds import Kind
 from fvs_ros.urdf import read_robot
+from fvs_sim_node.config import TABLE
 from fvs_sim_node.robot import find_meshes
 
 _MEASURED, _PREDICTED, _OBJECT = (213, 40, 30), (255, 214, 0), (204, 121, 167)
-_MOVING = ("◉", _PREDICTED, "where it is now"), ("●", TARGET_RGB, "target: drag it")
-#: What the colours mean in the view, by where the camera is.
-LEGENDS = {
-    FIXED: (("●", _MEASURED, "as measured"), *_MOVING, ("■", _OBJECT, "object")),
-    ON_ARM: (("■", _OBJECT, "object, as measured"), *_MOVING),
-}
 #: Vertical angle of a RealSense's view, rad, and width over height.
 _VIEW = 0.743, 4.0 / 3.0
+#: The page is dark: shares of the brightness of the simulator's table and of the rod.
+_DIM, _ROD = 0.6, (150, 156, 168)
+_GIZMO: dict[str, Any] = {"line_width": 3.0, "depth_test": False, "visible": False}
+
+
+def legend(kind: Kind) -> list[tuple[str, tuple[int, int, int], str]]:
+    """What the colours mean in the view: signs, colours and words."""
+    sign = "■" if kind.size > 3 else "●"
+    measured = (sign, _OBJECT if kind.on_arm else _MEASURED, f"{kind.what}, measured")
+    target = (sign, TARGET_RGB, "target: drag it")
+    return [measured, ("◉", _PREDICTED, "predicted to now"), target]
 
 
 class Scene:
@@ -57,26 +67,22 @@ class Scene:
         self._held_s = {"target": -inf, "object": -inf}  # when a person last held it
         self._arm: Arm | None = None
         self._robot: ViserUrdf | None = None
-        self._add_surroundings()
         scene = server.scene
         self._root = scene.add_frame("/robot", show_axes=False, visible=False)
+        self._add_surroundings()
         self._camera = scene.add_frame(
             "/camera", axes_length=0.08, axes_radius=0.003, origin_radius=0.004
         )
         # While its pose is unknown: level, looking to where the simulated arm stands.
         level = [[0.0, 0.0, -1.0, 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.4], [0, 0, 0, 1]]
-        _set_pose(self._camera, np.array(level))
-        look = {"scale": 0.14, "thickness": 0.004, "color": (190, 196, 208)}
+        _put(self._camera, SE3.from_matrix(np.array(level)))
+        look = {"scale": 0.1, "thickness": 0.003, "color": (190, 196, 208)}
         scene.add_camera_frustum("/camera/view", *_VIEW, **look)
-        self._measured = scene.add_icosphere(
-            "/camera/measured", ball_radius_m, _MEASURED, visible=False
-        )
+        self._measured = scene.add_frame("/camera/measured", show_axes=False, visible=False)
+        self._add_body("/camera/measured", ball_radius_m, _MEASURED)
         look = {"subdivisions": 2, "opacity": 0.3, "visible": False}
         self._predicted = scene.add_icosphere(
             "/camera/predicted", 1.25 * ball_radius_m, _PREDICTED, **look
-        )
-        self._axes = scene.add_frame(
-            "/camera/tag", axes_length=0.08, axes_radius=0.004, visible=False
         )
         self._add_object(ball_radius_m)
         self._add_target(ball_radius_m)
@@ -86,28 +92,48 @@ class Scene:
         # No environment and no shadows: without a graphics card they cost a core or more.
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=True, cast_shadow=False)
-        scene.add_light_hemisphere("/sky", ground_color=(110, 112, 120), intensity=1.2)
+        scene.add_light_ambient("/sky", intensity=0.5)
+        # What the simulated camera sees around the arm; a real one's surroundings are unknown.
+        self._table = scene.add_frame("/robot/table", show_axes=False, visible=False)
+        for i, each in enumerate(TABLE):
+            colour = tuple(round(255 * _DIM * part) for part in each.rgba[:3])
+            name = f"/robot/table/{i}"
+            scene.add_box(name, colour, each.size_m, position=each.position_m)
+        self._grid = scene.add_grid(
+            "/robot/grid",
+            4.0,
+            4.0,
+            cell_size=0.1,
+            section_size=0.5,
+            shadow_opacity=0.0,
+            cell_color=(44, 48, 56),
+            section_color=(70, 76, 88),
+        )
+        self._floor_m = min(each.position_m[2] - 0.5 * each.size_m[2] for each in TABLE)
+        nothing = np.zeros((1, 2, 3))
+        self._rod = scene.add_line_segments("/robot/rod", nothing, _ROD, thickness=0.014)
+
+    def _add_body(self, name: str, ball_radius_m: float, colour: tuple[int, int, int]) -> None:
+        """Draw a ball or, of what turns, a plate with axes."""
+        if not self._turns:
+            self._server.scene.add_icosphere(f"{name}/ball", ball_radius_m, colour)
+            return
+        edge_m = 2.0 * ball_radius_m
+        self._server.scene.add_box(f"{name}/plate", colour, (edge_m, edge_m, 0.004))
+        look = {"axes_length": edge_m, "axes_radius": 0.003}
+        self._server.scene.add_frame(f"{name}/axes", **look)
 
     def _add_target(self, ball_radius_m: float) -> None:
         scene = self._server.scene
         name = "/target" if self._aims_camera else "/camera/target"
-        self._target = scene.add_transform_controls(
-            name,
-            scale=0.16,
-            line_width=3.0,
-            disable_rotations=True,
-            depth_test=False,
-            visible=False,
-        )
+        free = {"disable_rotations": not self._turns, **_GIZMO}
+        self._target = scene.add_transform_controls(name, scale=0.16, **free)
         if self._aims_camera:
             look = {"scale": 0.1, "thickness": 0.004, "color": TARGET_RGB}
             scene.add_camera_frustum(f"{name}/view", *_VIEW, **look)
         else:
             # Smaller than what is measured, which hides it once it is there.
-            scene.add_icosphere(f"{name}/ball", 0.6 * ball_radius_m, TARGET_RGB, opacity=0.8)
-        self._target_axes = scene.add_frame(
-            f"{name}/axes", axes_length=0.08, axes_radius=0.003, visible=False
-        )
+            self._add_body(name, 0.6 * ball_radius_m, TARGET_RGB)
 
         @self._target.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
@@ -121,16 +147,9 @@ class Scene:
                 self._on_drag(Action("target", tuple(float(number) for number in numbers)))
 
     def _add_object(self, ball_radius_m: float) -> None:
-        scene = self._server.scene
         # In the robot's root link, so that it is dragged along table and vertical.
-        self._object = scene.add_transform_controls(
-            "/object", scale=0.12, line_width=3.0, depth_test=False, visible=False
-        )
-        if self._kind.on_arm and not self._turns:
-            scene.add_icosphere("/object/ball", ball_radius_m, _OBJECT)
-        else:
-            scene.add_box("/object/plate", color=_OBJECT, dimensions=(0.08, 0.08, 0.004))
-            scene.add_frame("/object/axes", axes_length=0.08, axes_radius=0.003)
+        self._object = self._server.scene.add_transform_controls("/object", scale=0.12, **_GIZMO)
+        self._add_body("/object", ball_radius_m, _OBJECT)
 
         @self._object.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
@@ -141,7 +160,12 @@ class Scene:
                 self._on_drag(Action(OBJECT_ROTATION, tuple(turned_deg.tolist())))
 
     def set_arm(self, arm: Arm) -> None:
-        """Show another robot, or the first."""
+        """Show another robot, or the first, and look at it from beside the simulator's camera."""
+        bounds_m, camera = arm.urdf.scene.bounds, self._server.initial_camera
+        reach_m = max(0.6, 0.0 if bounds_m is None else np.abs(bounds_m).max())
+        camera.look_at = tuple(reach_m * np.array([0.45, 0.0, 0.15]))
+        camera.position = tuple(reach_m * np.array([1.1, -2.2, 1.1]))
+        camera.fov = 0.8
         if self._robot is not None:
             self._server.scene.remove_by_name("/robot/visual")  # and all that hangs on it
         self._arm, self._robot = arm, ViserUrdf(self._server, arm.urdf, root_node_name="/robot")
@@ -150,36 +174,46 @@ class Scene:
         """Show a moment."""
         joints = board.newest("joint_states", now_s)
         if self._robot is not None and self._arm is not None and joints is not None:
-            self._robot.update_cfg(self._arm.configuration(joints))
-        if self._arm is not None and board.camera is not None:
-            _set_pose(self._camera, self._arm.in_root(*board.camera))
-            self._root.visible = True
+            angles_rad = map(float, joints)
+            self._robot.update_cfg(dict(zip(self._arm.names, angles_rad, strict=True)))
         controller, z = board.controller(now_s), board.newest("feature", now_s)
-        _put(self._predicted, controller.position_m)
-        if z is not None and self._turns:
-            self._axes.wxyz = SO3.from_matrix(self._kind.rotation(z)).wxyz
-            self._target.disable_rotations, self._target_axes.visible = False, True
+        if self._arm is not None and board.camera is not None:
+            _put(self._camera, SE3.from_matrix(self._arm.in_root(*board.camera)))
+            self._root.visible = True
+            self._show_rod(controller.position_m)
+        self._table.visible = bool(board.parameters.get(topics.SIM))
+        self._grid.position = (0.0, 0.0, self._floor_m * self._table.visible)
+        predicted_m = controller.position_m
+        _put(self._predicted, None if predicted_m is None else SE3.from_translation(predicted_m))
         if not self._kind.on_arm:  # else the object shows it
-            _put(self._measured, None if z is None else z[:3])
-            _put(self._axes, z[:3] if z is not None and self._turns else None)
+            _put(self._measured, None if z is None else self._pose_of(z))
         # After a drag they stay where they were dropped until the nodes have answered.
         held_since_s = time.monotonic() - 0.6
         if self._held_s["object"] < held_since_s:
             self._show_object(board, now_s)
         if self._held_s["target"] < held_since_s:
-            self._show_target(controller.target_m, controller.target_wxyz)
+            self._show_target(controller.target(self._kind))
 
-    def _show_target(self, position_m: np.ndarray | None, wxyz: np.ndarray) -> None:
-        if self._aims_camera and position_m is not None:
-            if not (self._object.visible and np.isfinite(wxyz).all()):
-                position_m = None
-            else:
-                seen = SE3.from_rotation_and_translation(SO3(wxyz), position_m)
-                wanted = _pose(self._object) @ seen.inverse()
-                position_m, wxyz = wanted.translation(), wanted.rotation().wxyz
-        _put(self._target, position_m)
-        if np.isfinite(wxyz).all():
-            self._target.wxyz = wxyz
+    def _show_rod(self, carried_m: np.ndarray | None) -> None:
+        """Draw what holds the ball, tag or camera: how is not known, but that it is held."""
+        assert self._arm is not None
+        camera = _pose(self._camera)
+        self._rod.visible = self._kind.on_arm or carried_m is not None
+        if self._rod.visible:
+            end_m = camera.translation() if self._kind.on_arm else camera @ carried_m
+            self._rod.points = np.array([[self._arm.flange_m, end_m]])
+
+    def _show_target(self, z: np.ndarray | None) -> None:
+        pose = None if z is None else self._pose_of(z)
+        if pose is not None and self._aims_camera:
+            pose = _pose(self._object) @ pose.inverse() if self._object.visible else None
+        _put(self._target, pose)
+
+    def _pose_of(self, z: np.ndarray) -> SE3:
+        """The pose of what is measured as z, (m,), in the camera's frame."""
+        rotation = self._kind.rotation(z)
+        turned = SO3.identity() if rotation is None else SO3.from_matrix(rotation)
+        return SE3.from_rotation_and_translation(turned, z[:3])
 
     def _show_object(self, board: Board, now_s: float) -> None:
         """Show it as measured; a simulated one that is not seen, where the simulator put it.
@@ -195,33 +229,39 @@ class Scene:
         gizmo.disable_rotations = not simulated or (on_arm and not self._turns)
         if on_arm and z is None:
             return
-        rotation, position_m = SO3.identity(), None
+        turned, pose = SO3.identity(), None
         if simulated and not on_arm:
-            turned_deg = board.parameter(*OBJECT_ROTATION.split("/"))
-            rotation, position_m = SO3.exp(np.radians(turned_deg)), np.array(put)
+            turned = SO3.exp(np.radians(board.parameter(*OBJECT_ROTATION.split("/"))))
+            pose = SE3.from_rotation_and_translation(turned, np.array(put))
         if z is not None:
-            camera, turned = SO3(np.array(self._camera.wxyz)), self._kind.rotation(z)
-            position_m = self._camera.position + camera @ z[:3]
-            rotation = rotation if turned is None else camera @ SO3.from_matrix(turned)
-        gizmo.wxyz = rotation.wxyz
-        _put(gizmo, position_m)
-
-
-def _set_pose(node: viser.SceneNodeHandle, pose: np.ndarray) -> None:
-    node.wxyz, node.position = SO3.from_matrix(pose[:3, :3]).wxyz, pose[:3, 3]
+            pose = _pose(self._camera) @ self._pose_of(z)
+            if not self._turns:
+                pose = SE3.from_rotation_and_translation(turned, pose.translation())
+        _put(gizmo, pose)
 
 
 def _pose(node: viser.SceneNodeHandle) -> SE3:
     return SE3(np.concatenate([node.wxyz, node.position]))
 
 
-def _put(node: viser.SceneNodeHandle, position_m: np.ndarray | None) -> None:
-    node.visible = position_m is not None
-    if position_m is not None:
-        node.position = position_m
+def _put(node: viser.SceneNodeHandle, pose: SE3 | None) -> None:
+    node.visible = pose is not None
+    if pose is not None:
+        node.position, node.wxyz = pose.translation(), pose.rotation().wxyz
 
 
 # --- the robot's model ---
+
+
+def _paint(mesh: trimesh.Trimesh) -> None:
+    """Say that it is no metal, which is black without surroundings to reflect."""
+    visual: Any = mesh.visual
+    if visual.kind != "texture":
+        visual = mesh.visual = TextureVisuals(material=SimpleMaterial(diffuse=visual.main_color))
+    if isinstance(visual.material, SimpleMaterial):
+        visual.material = visual.material.to_pbr()
+    if visual.material.metallicFactor is None:
+        visual.material.metallicFactor = 0.0
 
 
 class Arm:
@@ -242,15 +282,18 @@ class Arm:
                 io.BytesIO(ET.tostring(root)),
                 filename_handler=lambda fname: fname.removeprefix("file://"),
             )
+            for mesh in self.urdf.scene.geometry.values():
+                _paint(mesh)
         except Exception as error:  # readers of XML and meshes raise various ones
             raise ValueError(f"robot_description cannot be read: {error}") from error
         unknown = [name for name in names if name not in self.urdf.joint_map]
         if unknown:
             raise ValueError(f"robot_description has no joint {', '.join(unknown)}")
 
-    def configuration(self, joints_rad: np.ndarray) -> dict[str, float]:
-        """Joint positions by name, of positions in kinematic order, rad, shape (n,)."""
-        return {name: float(angle) for name, angle in zip(self.names, joints_rad, strict=True)}
+    @property
+    def flange_m(self) -> np.ndarray:
+        """Origin of the last joint's link in the model's root, m, (3,)."""
+        return self.urdf.get_transform(self.urdf.joint_map[self.names[-1]].child)[:3, 3]
 
     def in_root(self, frame: str, pose: np.ndarray) -> np.ndarray:
         """A pose in a link's frame, (4, 4), m, in the model's root; of another frame, as it is."""

@@ -181,7 +181,7 @@ class LkfEstimator(OnlineEstimator):
 
 
 class UkfEstimator(OnlineEstimator):
-    """Unscented filter of the model that :class:`LkfEstimator` filters.
+    """Unscented Kalman filter of the same model as ``lkf``.
 
     The measurement is linear in the entries, and there an unscented transform is exact: up to
     rounding this *is* the linear filter, whatever the spread of the sigma points, at several times

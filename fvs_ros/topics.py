@@ -105,7 +105,7 @@ def kind_topics(
 
     def truth(name: str) -> Topic:
         words = f"The true `{name}`, for scoring."
-        return topic(f"{SIM}/true_{name}", words, (SIM,), subscribers=(DEMO,))
+        return topic(f"{SIM}/true_{name}", words, (SIM,), subscribers=(DEMO, DASHBOARD))
 
     sources = SIM, DETECTOR
     measured: dict[str, Any] = {

@@ -75,8 +75,8 @@ def _arrays(memory: tuple[Any, Any], config: SimConfig) -> tuple[np.ndarray, np.
 def _work(pipe: Connection, memory: tuple[Any, Any], config: SimConfig) -> None:
     # Ctrl-C reaches the whole terminal group; this process ends with its pipe.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(19)  # the lowest priority: images must not slow down the control loop
     world = World(config)
+    os.nice(10)  # images must not slow down the control loop
     rng = np.random.default_rng(config.seed)
     rgb, depth_m = _arrays(memory, config)
     with contextlib.suppress(EOFError, OSError):  # the other end was closed

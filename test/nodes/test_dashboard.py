@@ -3,7 +3,6 @@
 import contextlib
 import os
 import re
-import shutil
 import signal
 import time
 
@@ -19,6 +18,7 @@ pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[
 from harness import PlayedRobot
 from page_client import PageClient
 
+from bench import bench_screenshots as screenshots
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME, Intrinsics
 from fvs_ros.joints import JointMap
@@ -341,28 +341,16 @@ def test_what_is_clicked_on_in_both_pictures_is_tracked_by_the_detector(ros_test
 
 # ---- in a real browser ------------------------------------------------------------------------
 
-#: Headless, drawing WebGL by software, and saying nothing to the world.
-FLAGS = (
-    "--no-sandbox",
-    "--disable-gpu",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-)
-#: Drawn some times a second only: by software every picture takes a core for tens of milliseconds.
-SELDOM = "window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 500)"
-#: All at one look: what the panel says, and where its buttons and the banner are.
+#: All at one look: what the panel says, and where its buttons are.
 LOOK = """() => {
     const text = name => document.getElementById(`fvs-${name}`).innerText;
     const box = node => Object.values(node.getBoundingClientRect().toJSON());
     const button = name => [...document.querySelectorAll("button")]
         .find(node => node.innerText == name);
-    const banner = document.getElementById("fvs-banner");
     const names = ["Stop", "Go", "Set current as target"];
-    return {state: banner.dataset.state, error: text("error"), answer: text("answer"),
-            refusal: text("refusal"), boxes: [banner, ...names.map(button)].map(box).join(" ")};
+    return {state: document.getElementById("fvs-banner").dataset.state,
+            error: text("error"), answer: text("answer"), banner: text("banner"),
+            boxes: names.map(button).map(box).join(" ")};
 }"""
 #: Whether the page says that its program has ended.
 LOST = "getComputedStyle(document.getElementById('fvs-lost')).opacity"
@@ -371,18 +359,11 @@ LOST = "getComputedStyle(document.getElementById('fvs-lost')).opacity"
 @pytest.fixture
 def window():
     """A window of a browser."""
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="playwright is not installed (pip install playwright)"
-    )
-    path = shutil.which("chromium") or shutil.which("chromium-browser")
-    if path is None and not os.environ.get("FVS_NEED_BROWSER"):
+    pytest.importorskip("playwright", reason="playwright is not installed")
+    if screenshots.browser() is None and not os.environ.get("FVS_NEED_BROWSER"):
         pytest.skip("chromium is not installed (apt install chromium)")
-    with playwright.sync_playwright() as tool:
-        chromium = tool.chromium.launch(executable_path=path, headless=True, args=FLAGS)
-        window = chromium.new_page(viewport={"width": 1000, "height": 700})
-        window.add_init_script(SELDOM)
+    with screenshots.window(1000, 700) as window:
         yield window
-        chromium.close()
 
 
 def test_a_person_reads_aims_and_stops_in_a_browser(loop, window):
@@ -422,7 +403,7 @@ def test_a_person_reads_aims_and_stops_in_a_browser(loop, window):
     press("Stop")
     wait(lambda look: look["answer"].startswith("stop: "), "an answer")
     aim([0.0, 0.0, 99.0])
-    wait(lambda look: "target refused" in look["refusal"], "a refusal")
+    wait(lambda look: "target refused" in look["banner"], "a refusal")
     assert len(boxes) == 1, boxes  # nothing moved, whatever was said
     assert failures == []
     wait(lambda _: window.evaluate(LOST) == "0", "no word of a program that has ended")

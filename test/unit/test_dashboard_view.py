@@ -10,9 +10,10 @@ from fvs_controller_node.config import default_values
 from fvs_controller_node.inbox import FEATURE
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.references import Reference, References
-from fvs_dashboard import markup
+from fvs_dashboard import markup, picture
 from fvs_dashboard.board import Action, Board, Controller
 from fvs_dashboard.clicks import Clicks, shifted
+from fvs_ros.camera import Intrinsics
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.points import Points
 from fvs_ros.kinds.pose import Pose
@@ -25,10 +26,14 @@ def test_what_comes_from_outside_is_no_markup():
     board.note("detector", 0.0, evil)
     values = {**ServoLoop().status_values(0.0), "state": evil, "reason": ""}
     controller = Controller({name: str(value) for name, value in values.items()}, f"{evil}; {evil}")
+    board.add_status(0.0, controller)
+    board.camera = "camera", np.eye(4)
+    for name in ("answer", "arm"):
+        board.note(name, 0.0, evil)
     for html in (
-        markup.banner_html(controller, Ball()),
-        markup.line_html("answer", evil),
-        markup.note_html(evil),
+        markup.banner_html(board, Ball(), 0.0),
+        markup.caption_html(evil),
+        markup.line_html("reference", evil),
         markup.inputs_html(board, Ball(), 0.0),
     ):
         assert "<b>x" not in html
@@ -41,7 +46,7 @@ def test_what_a_camera_on_the_arm_sees_is_one_input():
     status = {key: str(value) for key, value in loop.status_values(0.5).items()}
     board.add_status(0.5, Controller({**status, "state": "READY"}, ""))
     html = markup.inputs_html(board, Ball(camera_mount="arm"), 0.5)
-    assert "Seen</span> 500 ms ago" in html
+    assert "Ball</span> 500 ms ago" in html
     assert "Object" not in html
 
 
@@ -61,13 +66,49 @@ def test_references_are_listed_whatever_stands_in_their_file(tmp_path):
     assert "feature ball, expected pose" in markup.reference_text(known["<b>"], kind)
 
 
-def test_the_banner_says_way_and_angle_of_a_pose():
-    status = Controller({"error_m": "0.02", "way_m": "0.0021", "angle_rad": "0.01"}, "")
-    assert "2.10 mm, 0.57°" in markup.banner_html(status, Pose())
-    servoing = {"state": "SERVOING", "reason": "SERVOING"}
+def banner(kind, sentence="", target=(), truth=None, **values):
+    """The banner that a controller's status gives."""
+    board = Board(6, kind)
+    if truth is not None:
+        board.note("truth", 0.0, truth)
+    values |= {f"target_{name}": str(number) for name, number in target}
+    board.add_status(0.0, Controller(values, sentence))
+    return markup.banner_html(board, kind, 0.0)
+
+
+def test_the_banner_says_way_and_angle_and_nothing_finer_than_a_tenth():
+    html = banner(Pose(), error_m="0.02", way_m="0.0021", angle_rad="0.01")
+    assert ">2.1 mm, 0.6°<" in html
+    html = banner(Pose(), error_m="0.02", way_m="0.00004", angle_rad="0.0002")
+    assert ">&lt; 0.1 mm, &lt; 0.1°<" in html
+    assert "true" not in html.replace("fvs-true", "")
+
+
+def test_the_banner_tells_a_simulators_true_error_from_the_estimated():
+    target = [("x_m", 0.1), ("y_m", 0.0), ("z_m", 1.0)]
+    html = banner(Ball(), target=target, truth=np.array([0.1, 0.003, 1.0]), error_m="0.00001")
+    assert ">&lt; 0.1 mm<" in html
+    assert "estimated; true 3.0 mm" in html
+
+
+def test_the_banner_says_remarks_and_refusals_whole():
     sentence = "servoing, 2 mm to go; slowed, it is at an edge (no start (yet); no limits)"
-    html = markup.banner_html(Controller(servoing, sentence), Ball())
-    assert 'title="no start (yet); no limits. slowed, it is at an edge"' in html
+    html = banner(Ball(), sentence, state="SERVOING", reason="SERVOING")
+    assert ">no start (yet); no limits<" in html
+    assert ">slowed, it is at an edge<" in html
+
+
+def test_a_target_that_the_picture_does_not_show_is_said():
+    view = picture.Picture()
+    view.intrinsics = Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
+    assert view.words(0.0, view.pixels(np.array([0.0, 0.0, 1.0]))) == ""
+    view.add_image(0.0, np.zeros((48, 64, 3), np.uint8))
+    for target_m, said in (([0, 0, 1], ""), ([1, 0, 1], "outside"), ([0, 0, -1], "outside")):
+        words = view.words(0.0, view.pixels(np.array(target_m, float)))
+        assert said in words
+        assert bool(words) == bool(said)
+    assert view.words(0.0, np.full((2, 2), np.nan)) == ""
+    assert view.words(0.0, view.pixels(None)) == ""
 
 
 # --- who is let in ---
@@ -134,13 +175,13 @@ def test_what_is_said_of_image_points_is_in_pixels_and_of_each_camera():
     board.add_status(0.0, controller)
     html = markup.inputs_html(board, kind, 0.0)
     for words in (
-        "Seen left</span> 20 ms",
-        "Seen right</span> 30 ms",
+        "Pattern left</span> 20 ms",
+        "Pattern right</span> 30 ms",
         "right: it is lost",
     ):
         assert words in html
-    assert "10.0 px" in markup.banner_html(controller, kind)
-    np.testing.assert_allclose(board.error.window(0.0), [[0.0, 10.0]])
+    assert "10.0 px" in markup.banner_html(board, kind, 0.0)
+    np.testing.assert_allclose(board.error.window(0.0), [[0.0, 10.0, np.nan, np.nan]])
     np.testing.assert_array_equal(controller.target_px(kind), [[[1.5, 2.5]], [[np.nan, np.nan]]])
     assert board.feature(0.0) is None
     for camera in (0, 1):
