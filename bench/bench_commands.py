@@ -138,21 +138,22 @@ def check(page: Path, folder: Path) -> int:
     """Run a page's commands; returns how many did not end well."""
     print(f"-- {page.relative_to(ROOT)}", flush=True)
     found = re.search(r"fvs_launch (\w+_standin[^`\n#]*)", page.read_text(encoding="utf-8"))
-    runner, standin, bad = _Runner(folder), found.group(1) if found else "", 0
-    if found:
-        words, _, _ = _plan(["fvs_launch", *shlex.split(standin)], standin)
-        bad += not runner.run(words, True, f"fvs_launch {standin}")
-    beside = len(runner.servers)
+    standin = found.group(1).strip() if found else ""
+    runner, bad, beside = _Runner(folder), 0, False
     for text in commands(page):
         words, serves, why = _plan(shlex.split(text), standin)
-        if "_standin" in text:
-            continue
         if why:
             print(f"   -        -  {text}   ({why})", flush=True)
             continue
-        if serves and "fvs_dashboard" not in text:
-            bad += not runner.stop(beside)
-        bad += not runner.run(words, serves, text)
+        if launched(words):  # each robot, or its stand-in, and what serves it
+            needs = "simulated_time:=true" not in words
+            bad += not runner.stop(int(needs and beside))
+            if needs and not beside:
+                stand_in, _, _ = _plan(["fvs_launch", *shlex.split(standin)], standin)
+                bad += not runner.run(stand_in, True, f"fvs_launch {standin}")
+            beside = needs
+        if "_standin" not in text:
+            bad += not runner.run(words, serves, text)
     return bad + (not runner.stop())
 
 
