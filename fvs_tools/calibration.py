@@ -20,6 +20,7 @@ from fvs_ros.params import parameter
 from fvs_ros.rotations import quaternion_from_rotation
 from fvs_ros.timeline import MAX_GAP_S
 from fvs_ros.vectors import LARGEST, plausible
+from fvs_tools.demo import COLOURS
 from fvs_tools.hand_eye import Estimate, solve
 from fvs_tools.kinematics import Kinematics
 
@@ -58,8 +59,6 @@ _LEAST_RESIDUAL_M = 6e-5
 _UNEXPLAINED = 0.2
 #: With a zero of this size, rad, the joint turns the other way, or is another.
 _OTHER_RAD = np.radians(10.0)
-#: Okabe and Ito's, told apart by all readers.
-_COLOURS = ("#0072B2", "#E69F00", "#009E73")
 #: Deviations from which on a part counts as off.
 _SIGMAS = 5.0
 
@@ -296,34 +295,27 @@ def write(estimate: Estimate, path: Path) -> None:
     figure.suptitle(lines, size=10, x=0.01, ha="left")
     model, mean, deviation = estimate.model, estimate.mean, estimate.deviation
     stamps_s, names = model.path.stamps_s, model.arm.names
-    images, *parts = figure.subplot_mosaic([["images", "images"], ["joints", "links"]]).values()
-    for name, colour, residual_m in zip("xyz", _COLOURS, estimate.residual_m.T, strict=True):
-        look: dict[str, Any] = {"markersize": 3, "color": colour, "label": name}
-        images.plot(stamps_s - stamps_s[0], 1e3 * residual_m, ".", **look)
+    axes = figure.subplot_mosaic([["images", "images"], ["joints", "links"]])
+    images = axes["images"]
+    for name, colour, residual_m in zip("xyz", COLOURS, estimate.residual_m.T, strict=False):
+        time_s = stamps_s - stamps_s[0]
+        images.plot(time_s, 1e3 * residual_m, ".", markersize=3, color=colour, label=name)
     limit_mm = 6e3 * max(estimate.median_residual_m, 1e-5)
     images.set(xlabel="time (s)", ylabel="residual (mm)", ylim=(-limit_mm, limit_mm))
     images.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, markerscale=3)
     unit = np.where(model.arm.prismatic > 0.0, 1e3, np.degrees(1.0))
-    told = np.isfinite(deviation.zeros)  # no image tells the others
-    links = (each.links.reshape(-1, 6)[:, :3] for each in (mean, deviation))
-    bars = {
-        "zeros of joints (degrees; of slides: mm)": (
-            np.array(names)[told],
-            -(unit * mean.zeros)[told],
-            (unit * deviation.zeros)[told],
-        ),
-        "shift of the link before a joint (mm)": (
-            names[1:],
-            *(1e3 * np.linalg.norm(each, axis=1) for each in links),
-        ),
-    }
-    for axes, (title, (labels, values, deviations)) in zip(parts, bars.items(), strict=True):
-        rows = np.arange(len(labels))
-        axes.errorbar(values, rows, xerr=deviations, fmt="o", capsize=3, color=_COLOURS[0])
-        axes.axvline(0.0, color="0.4", linewidth=1)
-        axes.set_yticks(rows, labels)
-        axes.set(xlabel=f"{title}, standard deviation", ylim=(len(labels) - 0.5, -0.5))
-        axes.locator_params(axis="x", nbins=6)
-    for axes in figure.axes:
-        axes.grid(alpha=0.3)
+    zeros = (-unit * mean.zeros, unit * deviation.zeros)
+    links = (part.links.reshape(-1, 6)[:, :3] for part in (mean, deviation))
+    shifts = (1e3 * np.linalg.norm(part, axis=1) for part in links)
+    for axis, label, rows, (values, deviations) in (
+        (axes["joints"], "zero of a joint (degrees; slide: mm); no bar: assumed", names, zeros),
+        (axes["links"], "shift of the link before a joint (mm); bar: deviation", names[1:], shifts),
+    ):
+        bars = np.where(np.isinf(deviations), 0.0, deviations)  # those zeros count as exact
+        axis.errorbar(values, range(len(rows)), xerr=bars, fmt="o", capsize=3, color=COLOURS[0])
+        axis.set_yticks(range(len(rows)), rows)
+        axis.set(xlabel=label, ylim=(len(rows) - 0.5, -0.5))
+        axis.locator_params(axis="x", nbins=6)
+    for axis in axes.values():
+        axis.grid(alpha=0.3)
     figure.savefig(path.with_suffix(".png"), dpi=110)

@@ -46,7 +46,7 @@ START_TIMEOUT_S = 30.0
 #: share of it that stays in view of a camera on the arm.
 _JUMP_M, _JUMP_RAD, _IN_VIEW = np.array([0.12, 0.12, 0.05]), np.radians(30.0), 0.4
 #: Okabe and Ito's, told apart by all readers.
-_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 #: The simulator's parameters of the object's place.
 OBJECT = ("object_position_m", "object_rotation_deg")
 
@@ -149,14 +149,14 @@ def draw(path: Path, records: Sequence[TargetRecord], joint_names: Sequence[str]
             time_s = time_s + record.start_s - origin_s
             # A logarithmic axis has no zero.
             lengths_m = np.maximum(kind.parts_m(errors_m)[part], 1e-6)
-            axis.plot(time_s, lengths_m / unit_m, ".-", color=_COLOURS[0], markersize=1.5)
+            axis.plot(time_s, lengths_m / unit_m, ".-", color=COLOURS[0], markersize=1.5)
         bound = SETTLED_ERROR_M / unit_m
         look: dict[str, Any] = {"linestyle": "--", "linewidth": 1, "color": "0.4"}
         axis.axhline(bound, label=f"settled: {bound:.2g} {unit}", **look)
         axis.set(yscale="log", ylabel=f"error ({unit})")
         axis.yaxis.set_major_formatter("{x:g}")
     if moments:
-        axes[-1].set_prop_cycle(cycler(linestyle=("-", "--", ":")) * cycler(color=_COLOURS))
+        axes[-1].set_prop_cycle(cycler(linestyle=("-", "--", ":")) * cycler(color=COLOURS))
         axes[-1].plot(*zip(*moments, strict=True), linewidth=1.2, label=list(joint_names))
         axes[-1].set(ylabel="joint speed (rad/s)")
     for number in range(0, len(records), 1 + len(records) // 16):  # more labels would overlap

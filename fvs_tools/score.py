@@ -39,9 +39,9 @@ def judge(
 
     Times since it was given, (n,), and errors, m, (n, d); joint velocities, (k, joints).
     """
-    final, longer_m = time_s >= time_s[-1] - FINAL_S, largest_part_m(kind, errors_m)
-    distance_m, arc_m = (kind.parts_m(errors_m).get(name) for name in ("way_m", "arc_m"))
-    assert distance_m is not None
+    final, parts_m = time_s >= time_s[-1] - FINAL_S, kind.parts_m(errors_m)
+    longer_m = np.max(list(parts_m.values()), axis=0)
+    distance_m, arc_m = parts_m["way_m"], parts_m.get("arc_m")
     final_rad = None if arc_m is None else _rms(arc_m[final]) / kind.unit[-1]
     return TargetScore(
         start_distance_m=float(distance_m[0]),
@@ -51,11 +51,6 @@ def judge(
         peak_joint_speed_rad_s=float(np.max(np.abs(joint_velocity_rad_s), initial=0.0)),
         final_rms_deg=None if final_rad is None else float(np.degrees(final_rad)),
     )
-
-
-def largest_part_m(kind: Kind, errors_m: np.ndarray) -> np.ndarray:
-    """Length of the largest part of each error, m, (n, d): (n,)."""
-    return np.max(list(kind.parts_m(errors_m).values()), axis=0)
 
 
 def _rms(values: np.ndarray) -> float:
