@@ -16,10 +16,13 @@ from fvs_ros.interface import CommandInterface
 from fvs_ros.kinds import KindConfig
 from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterError, Parameters, ParameterSet, live_parameter, parameter
+from fvs_ros.paths import registered
 from fvs_ros.view import ViewConfig
 
-#: The control laws by name. A new law is one file in this folder and one line here.
+#: The control laws by name. A new law is one file in this folder and one line here, or an entry
+#: point ``fvs_ros.laws`` of another package.
 LAWS: dict[str, type[ControlLaw]] = {
+    **registered("laws"),
     "ftsm": FtsmLaw,
     "proportional": ProportionalLaw,
     "mfac": MfacLaw,
@@ -33,7 +36,7 @@ class ControllerConfig(CommandInterface):
     """Parameters of the loop."""
 
     law: str = live_parameter(
-        "ftsm", "Control law; changes only while the arm is stopped.", choices=tuple(LAWS)
+        "ftsm", "Control law; changes only while the arm is stopped.", choices=LAWS.keys()
     )
     reference: str = live_parameter(
         "grasp", "Name of the reference that ~/teach writes and ~/go_to_reference reads."

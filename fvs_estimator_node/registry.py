@@ -16,9 +16,12 @@ from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator
 from fvs_ros.joints import JOINT_PARAMETERS
 from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.params import Parameter, live_parameter, parameter
+from fvs_ros.paths import registered
 from fvs_ros.pixel_chain import PixelChains
 
+#: Likewise an entry point ``fvs_ros.estimators`` of another package.
 ESTIMATORS: dict[str, type[Any]] = {
+    **registered("estimators"),
     "rbf": RbfEstimator,
     "frozen": FrozenRbfEstimator,
     "rbf_left": TurnedRbfEstimator,
@@ -39,7 +42,7 @@ class EstimatorConfig(KindConfig):
     method: str = live_parameter(
         "rbf",
         "how the Jacobian is estimated; changes only while the controller does not servo",
-        choices=tuple(ESTIMATORS),
+        choices=ESTIMATORS.keys(),
     )
     model_path: str = parameter(
         "",

@@ -14,11 +14,10 @@ from fvs_lab import experiment as lab
 from fvs_lab.contestants import CONTESTANTS, ORACLE
 from fvs_lab.results import Results
 from fvs_lab.trials import Bump, Conditions, Trial, along, make_cases, sees_all
-from fvs_ros.arguments import unknown
 from fvs_ros.kinds import KINDS
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
-from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
+from fvs_tools.schemes import BEYOND, SCHEMES, Scheme, scheme
 from fvs_tools.score import FINAL_S
 
 #: The contestants, with the defaults of the nodes.
@@ -125,11 +124,8 @@ EVERYDAY = Worlds(
 
 
 def schemes_called(names: Sequence[str]) -> list[Scheme]:
-    """The contestants of these names, or all without any; a ``ValueError`` lists those known."""
-    for name in names:
-        if name not in COMPARED:
-            raise ValueError(unknown("scheme", name, map(repr, COMPARED)))
-    return [COMPARED[name] for name in COMPARED if not names or name in names]
+    """The schemes of these names, or all contestants; a ``ValueError`` lists those known."""
+    return [COMPARED.get(name) or scheme(name) for name in names] or [*COMPARED.values()]
 
 
 def trials_in(world: Trial, schemes: Sequence[Scheme]) -> list[Trial]:

@@ -11,7 +11,7 @@ import contextlib
 import reprlib
 import sys
 from array import array
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from functools import partial
@@ -47,7 +47,7 @@ class Parameter:
     minimum: float | None = None
     maximum: float | None = None
     #: The only values of a string, if given.
-    choices: tuple[str, ...] = ()
+    choices: Collection[str] = ()
     #: Required length of a list.
     size: int | None = None
     #: Whether it may change while the node runs.

@@ -6,6 +6,7 @@ import os
 import sys
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 PACKAGE = "fvs_ros"
 #: Where ROS is installed, if it is: programs that sourced none find its meshes, too.
@@ -69,6 +70,12 @@ def program(module: str, dies_with_parent: bool = False) -> list[str]:
     """
     first = _DIE_WITH_PARENT.format(parent=os.getpid()) if dies_with_parent else ""
     return [sys.executable, "-c", _RUN.format(module=module, first=first)]
+
+
+def registered(registry: str) -> dict[str, Any]:
+    """What installed packages add to a registry: their entry points ``fvs_ros.REGISTRY``."""
+    points = metadata.entry_points(group=f"{PACKAGE}.{registry}")
+    return {point.name: point.load() for point in points}
 
 
 def version() -> str:

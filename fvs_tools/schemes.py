@@ -66,9 +66,18 @@ BEYOND = _by_name(
 )
 
 
-def scheme(name: str) -> Scheme:
-    """The scheme of a name; a ``ValueError`` lists those known."""
+def scheme(name: Scheme | str) -> Scheme:
+    """The scheme of a name, or of any ``METHOD+LAW``; a ``ValueError`` lists those known."""
+    if isinstance(name, Scheme):
+        return name
     known = {**SCHEMES, **BEYOND}
+    method, plus, law = name.partition("+")
+    if plus and name not in known:
+        from fvs_controller_node.config import LAWS
+        from fvs_estimator_node.registry import ESTIMATORS
+
+        if method in ESTIMATORS and law in LAWS:
+            return Scheme(name, method, law, "")
     if name not in known:
-        raise ValueError(unknown("scheme", name, known))
+        raise ValueError(unknown("scheme", name, [*known, "METHOD+LAW"]))
     return known[name]
