@@ -126,7 +126,8 @@ class JudgedWorld(World):
             most = TICK_S * self.values["max_joint_velocity_rad_s"] * self.limits.share
             near = np.all(np.abs(to - start) <= most + ROUNDING)
             keep("a position is a step away", near or not active, to, start)
-            known = start, self.node._joints if self.node._joints is not None else start
+            measured = self.node._loop.measured_rad
+            known = start, start if measured is None else measured
             low = np.minimum(self.limits.lower_rad, np.min(known, axis=0)) - ROUNDING
             high = np.maximum(self.limits.upper_rad, np.max(known, axis=0)) + ROUNDING
             inside = np.all((low <= to) & (to <= high))

@@ -73,6 +73,7 @@ class ServoLoop:
         #: That of the law, m, (d,), at the first tick after an image; else None.
         self.sliding_variable: np.ndarray | None = None
         self._joints: np.ndarray | None = None
+        self.measured_rad: np.ndarray | None = None  #: joints that count, (n,), as they came
         self.jacobian: np.ndarray | None = None  #: the one in use, m/rad, (d, n)
         self._home: np.ndarray | None = None  # joints at the last start
 
@@ -98,6 +99,9 @@ class ServoLoop:
             return
         if not inputs.add(JOINT_STATES, now_s, joints_rad):
             return
+        # A held position must not be led away by joint states that do not count yet.
+        if self.measured_rad is None or inputs[JOINT_STATES].find(now_s) is None:
+            self.measured_rad = joints_rad
         velocity, joints = self.supervisor.velocity_rad_s, np.array(joints_rad, dtype=float)
         servoing = self.supervisor.last.state is State.SERVOING
         if servoing:
@@ -326,11 +330,17 @@ class ServoLoop:
         late = self.supervisor.inputs.late(now_s)
         if late:
             return False, f"target refused: {late}"
-        shown = [z for eye in self.eyes if (z := eye.track.now()) is not None]
-        if len(shown) < len(self.eyes):
+        z = self.feature
+        if z is None:
             return False, f"target refused: the {self.kind.what}'s position is not known yet"
         self._be_relative_to_object(None)
-        return self._set_target(np.concatenate(shown), self.supervisor.config.feature_frame)
+        return self._set_target(z, self.supervisor.config.feature_frame)
+
+    @property
+    def feature(self) -> np.ndarray | None:
+        """The feature at the newest joint state, (m,); None while it is not known."""
+        shown = [z for eye in self.eyes if (z := eye.track.now()) is not None]
+        return np.concatenate(shown) if len(shown) == len(self.eyes) else None
 
     def _set_target(self, *target: Any) -> tuple[bool, str]:
         goal = self.supervisor.goal

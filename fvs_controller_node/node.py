@@ -73,7 +73,6 @@ class ControllerNode(ros.FvsNode):
         self._logged_passing_s = -np.inf
 
         self._commands = ros.CommandPublisher(self)
-        self._joints: np.ndarray | None = None
         self._sliding = self.publisher(self._kind.topics.sliding)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         parts, inputs = self._kind.parts, self._loop.supervisor.inputs
@@ -121,9 +120,6 @@ class ControllerNode(ros.FvsNode):
         else:
             self._stamp_s = stamp_s
             self._loop.add_joints(now_s, stamp_s, joints)
-            # A held position must not be led away by joint states that do not count yet.
-            if self._joints is None or supervisor.inputs[JOINT_STATES].find(now_s) is None:
-                self._joints = joints
         self._ticker.on_joint_state(now_s, stamp_s)
 
     def _on_arm(
@@ -234,7 +230,7 @@ class ControllerNode(ros.FvsNode):
     def _tick(self, now_s: float, dt_s: float) -> np.ndarray:
         command, supervisor = self._loop.tick(now_s, dt_s), self._loop.supervisor
         velocity, limits, active = command.velocity_rad_s, supervisor.config, supervisor.started
-        sent = self._commands.send(velocity, self._joints, dt_s, limits, active)
+        sent = self._commands.send(velocity, self._loop.measured_rad, dt_s, limits, active)
         if sent:
             self._sent.append(sent)
         if self._loop.sliding_variable is not None and self._stamp_s is not None:

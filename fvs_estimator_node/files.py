@@ -33,8 +33,6 @@ _MAX_BYTES = 2**28
 _LONGEST_ERROR, _LONGEST_QUOTE, _MOST_NOTES, _LONGEST_NOTE = 800, 300, 20, 500
 #: Measurements of the training that a model keeps.
 _Z_SAMPLES = 500
-#: Numbers that are further than this from any measurement of their kind are none.
-_NO_MEASUREMENT = 0.01
 
 _DATA_SET = {"stamps_s": ("k",), "joints_rad": ("k", "n"), "z": ("k", "m"), "segment": ("k",)}
 _MODEL: dict[str, tuple[int | str, ...]] = {
@@ -73,10 +71,9 @@ class _OfFeature:
 
     def _check_numbers(self, measured: np.ndarray) -> None:
         """A ``ValueError`` if measurements, (k, m), are none of the kind."""
-        kind = self.kind
         for z in measured[:1]:
-            if np.abs(kind.nearest(z) - z).max() > _NO_MEASUREMENT:
-                raise ValueError(f"{np.round(z, 3).tolist()} is no {kind.name}")
+            if not self.kind.fits(z):
+                raise ValueError(f"{np.round(z, 3).tolist()} is no {self.kind.name}")
 
     def check(self, expected: KindConfig | None) -> None:
         """A ``ValueError`` if another kind, frame or camera was expected; None takes any."""

@@ -89,15 +89,19 @@ class EstimationLoop:
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """Jacobian at the newest joints, rad, (n,): m/rad, (d, n)."""
+        jacobian = self.at(joints_rad)
+        if all_finite(jacobian):
+            self._jacobian = jacobian
+        return jacobian
+
+    def at(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Jacobian at any joints, rad, (n,), with what is seen now: m/rad, (d, n)."""
         z = None
         if not self.kind.flat:
             z, newest = self.tracks[0].now(), self.tracks[0].newest
             if z is None and newest is not None:
                 z = newest.z
-        jacobian = self.estimator.jacobian(joints_rad, z)
-        if all_finite(jacobian):
-            self._jacobian = jacobian
-        return jacobian
+        return self.estimator.jacobian(joints_rad, z)
 
     def status_values(self) -> dict[str, Any]:
         """Live key numbers of pairing and method."""

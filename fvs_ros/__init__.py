@@ -19,6 +19,7 @@ _FACE = {
     "EstimationLoop": "fvs_estimator_node.loop",
     "Estimator": "fvs_estimator_node.base",
     "MotionStep": "fvs_estimator_node.base",
+    "Servo": "fvs_tools.servo",
     "ServoClient": "fvs_tools.client_node",
     "ServoLoop": "fvs_controller_node.loop",
     "SimConfig": "fvs_sim_node.simulation",

@@ -53,14 +53,25 @@ class PositionPath:
     def __init__(self) -> None:
         self._position: np.ndarray | None = None
 
-    @property
-    def begun(self) -> bool:
-        """Whether it has left the joints."""
-        return self._position is not None
+    def follow(
+        self,
+        velocity: np.ndarray,
+        joints_rad: np.ndarray | None,
+        dt_s: float,
+        limits: JointLimits,
+        active: bool,
+    ) -> np.ndarray | None:
+        """Positions to send, rad, (n,), for joint velocities, (n,); None if there are none.
 
-    def end(self) -> None:
-        """Forget the path: the next one begins where the joints are."""
-        self._position = None
+        They begin at the measured joints, rad, (n,), in an active session, with its first motion:
+        before, the joints may not be where they were last measured.
+        """
+        moving = bool(velocity.any())
+        if not (active or moving):
+            self._position = None
+        if joints_rad is None or not (moving or self._position is not None):
+            return None
+        return self.advance(velocity, joints_rad, dt_s, limits)
 
     def advance(
         self, velocity: np.ndarray, joints_rad: np.ndarray, dt_s: float, limits: JointLimits

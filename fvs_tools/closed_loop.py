@@ -1,7 +1,6 @@
-"""The whole loop without ROS: simulated arm and camera, estimator and controller in lock step.
+"""The whole loop without ROS: a servo with a simulated arm and camera, in lock step.
 
-It connects the same objects as the nodes, and steps them one joint state at a time. A run is a
-bit-exact function of its configuration and seed.
+A run is a bit-exact function of its configuration and seed.
 """
 
 from __future__ import annotations
@@ -12,37 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.config import default_values
-from fvs_controller_node.inbox import JACOBIAN
-from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.supervisor import Command
 from fvs_estimator_node.base import Estimator
 from fvs_estimator_node.files import TrainedModel, load_model
-from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.registry import create_estimator
-from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.interface import POSITION, PositionPath
 from fvs_ros.kinds import Kind, KindConfig
-from fvs_ros.limits import with_urdf_limits
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.schemes import Scheme
 from fvs_tools.schemes import scheme as scheme_called
+from fvs_tools.servo import Servo
 
 
 @lru_cache(maxsize=4)
 def _load(name: str, joint_names: tuple[str, ...], kind: Kind) -> TrainedModel:
-    own: dict[str, Any] = {"feature": kind.name, kind.name: kind}
-    return load_model(
-        find_file(name), joint_names, KindConfig(camera_mount=kind.camera_mount, **own)
-    )
-
-
-def _seen(simulation: Simulation) -> dict[str, Any]:
-    """Parameters of what is servoed."""
-    config, points = simulation.config, simulation.config.points
-    own = {each.name: getattr(points, each.name) for each in points.declared()}
-    return {"feature": config.feature, "camera_mount": config.camera_mount, **own}
+    return load_model(find_file(name), joint_names, KindConfig.from_values(kind.values))
 
 
 def make_estimator(
@@ -81,8 +64,8 @@ class _Oracle(Estimator):
         return self._simulation.true_jacobian(joints_rad, self.kind)
 
 
-class ClosedLoop:
-    """Simulation, estimator and controller, one joint state after the other.
+class ClosedLoop(Servo):
+    """A servo whose arm and camera are simulated, one joint state after the other.
 
     Parameters
     ----------
@@ -101,16 +84,11 @@ class ClosedLoop:
         estimator: Estimator,
         controller_values: Mapping[str, Any] | None = None,
     ) -> None:
-        self.simulation = simulation
-        self.estimator = estimator
+        self.simulation, config = simulation, simulation.config
         joints = {joint.name: joint for joint in simulation.world.joints}
-        own = {"autostart": True, "joint_names": list(joints), **(controller_values or {})}
-        own |= _seen(simulation)
-        self.loop = ServoLoop(with_urdf_limits(default_values(**own), joints))
-        self.kind = self.loop.kind
-        self.estimation = EstimationLoop(estimator)
-        self._path = PositionPath()
-        self.period_s = 1.0 / simulation.config.joint_state_rate_hz
+        arm = {"joint_names": list(joints), "command_interface": config.command_interface}
+        super().__init__(estimator, {**arm, **(controller_values or {})}, joints)
+        self.period_s = 1.0 / config.joint_state_rate_hz
 
     @classmethod
     def of_scheme(
@@ -120,10 +98,9 @@ class ClosedLoop:
 
         Further keyword arguments are parameters of the controller node.
         """
-        chosen = scheme_called(scheme) if isinstance(scheme, str) else scheme
-        simulation = simulation or Simulation()
+        chosen, simulation = scheme_called(scheme), simulation or Simulation()
         values = {"law": chosen.law, **chosen.controller_values, **controller_values}
-        kind = KindConfig.from_values({**values, **_seen(simulation)}).kind
+        kind = KindConfig.from_values({**simulation.kind.values, **values}).kind
         estimator = make_estimator(chosen.method, simulation, chosen.estimator_values, kind=kind)
         return cls(simulation, estimator, values)
 
@@ -135,47 +112,18 @@ class ClosedLoop:
     def tick(self) -> Command:
         """Advance by one joint-state period and tick the controller; returns its command."""
         out = self.simulation.advance()
-        now_s = out.time_s
         for image in out.observations:
             if image.z is not None:
-                self.estimation.add_image(image.stamp_s, image.z, image.number)
-                self.loop.add_image(now_s, image.stamp_s, image.z, image.number)
+                self.see(image.stamp_s, image.z, image.number)
             if image.object_z is not None:
-                self.loop.add_object(now_s, image.stamp_s, image.object_z)
-        self.estimation.add_joints(now_s, out.joints_rad)
-        problem, chain = self.estimation.problem, self.estimator.chain
-        if not problem:
-            self.loop.add_jacobian(now_s, self.estimation.jacobian(out.joints_rad))
-        if chain is not None:
-            self.loop.add_chain(now_s, chain)
-        self.loop.supervisor.inputs[JACOBIAN].set_source_status(now_s, problem)
-        self.loop.add_joints(now_s, now_s, out.joints_rad)
-        command = self.loop.tick(now_s, self.period_s)
-        if self.loop.sliding_variable is not None:
-            self.estimation.add_sliding_variable(now_s, self.loop.sliding_variable)
-        values = command.velocity_rad_s
-        if self.simulation.config.command_interface == POSITION:
-            limits = self.loop.supervisor.config
-            values = self._path.advance(values, out.joints_rad, self.period_s, limits)
-        refusal = self.simulation.command(values)
+                self.see_object(image.stamp_s, image.object_z)
+        self.observe(out.time_s, out.joints_rad)
+        values = self.command(self.period_s)
+        refusal = None if values is None else self.simulation.command(values)
         assert refusal is None, refusal
-        return command
+        return self.status
 
     def run(self, seconds: float) -> None:
         """Let time pass."""
         for _ in range(round(seconds / self.period_s)):
             self.tick()
-
-    def set_target(self, target: np.ndarray) -> None:
-        """Give the controller a target, camera frame, (m,).
-
-        Raises
-        ------
-        ValueError
-            If the controller refuses it; the text says why.
-        """
-        accepted, text = self.loop.add_target(
-            np.asarray(target, dtype=float), CAMERA_FRAME, self.simulation.time_s
-        )
-        if not accepted:
-            raise ValueError(text)

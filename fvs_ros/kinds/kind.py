@@ -16,6 +16,8 @@ from fvs_ros.vectors import LARGEST, length, plausible
 _TWISTS = np.eye(6)
 #: No camera sees what is nearer, m: zeros are what some trackers send while they see nothing.
 _NEAREST_M = 1e-3
+#: Numbers that are further than this from any measurement of their kind are none.
+_NO_MEASUREMENT = 0.01
 #: Values of the parameter ``camera_mount``.
 FIXED, ON_ARM = MOUNTS = ("fixed", "arm")
 #: Name of the usual camera.
@@ -56,6 +58,12 @@ class Kind(Parameters):
         if cameras != (UNNAMED,):
             raise ValueError(f"a {cls.name} is seen by one camera, got {cameras}")
         return cls(camera_mount=camera_mount)
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Parameters that make it, by name."""
+        own = {each.name: getattr(self, each.name) for each in self.declared()}
+        return {"feature": self.name, "camera_mount": self.camera_mount, **own}
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -147,13 +155,20 @@ class Kind(Parameters):
     # ---- messages: any object with the fields of the message's type --------------------------
 
     def checked(self, z: np.ndarray) -> np.ndarray:
-        """A measurement, (m,); a ``ValueError`` if it is not finite, or too far away."""
+        """A measurement, (m,); a ``ValueError`` if it is none, not finite, or too far away."""
+        if z.shape != (self.numbers,):
+            raise ValueError(f"has numbers of shape {z.shape}, expected ({self.numbers},)")
         if not plausible(self.weights * z):
-            numbers = self.columns_of(z).tolist()
-            raise ValueError(f"is not finite, or further than {LARGEST:g} m: {numbers}")
+            raise ValueError(f"is not finite, or further than {LARGEST:g} m: {z.tolist()}")
+        if not self.fits(z):
+            raise ValueError(f"is no {self.name}: {np.round(z, 3).tolist()}")
         if self.on_arm and self.rigid and length(z[:3]) < _NEAREST_M:
             raise ValueError(f"is at the camera itself: {self.columns_of(z).tolist()}")
         return z
+
+    def fits(self, z: np.ndarray) -> bool:
+        """Whether finite numbers, (m,), are nearly those of a measurement."""
+        return bool(np.abs(self.nearest(z) - z).max() <= _NO_MEASUREMENT)
 
     def unseen(self, z: np.ndarray) -> str:
         """Why no camera can measure z, (m,), in words; empty if one may."""

@@ -41,23 +41,19 @@ class CommandPublisher:
     ) -> tuple[float, ...]:
         """Send joint velocities, (n,); returns what was sent, empty if nothing.
 
-        Positions need the measured joints, rad, (n,), and are sent in an active session only, from
-        its first motion on: before, the joints may not be where they were last measured. Simulated
-        time waits for an answer to each joint state: then it is where the joints are.
+        Simulated time waits for an answer to each joint state: without a position to send, it is
+        where the joints are.
         """
         values, last, self._last = velocity_rad_s, self._last, velocity_rad_s
         if not dt_s and not self._lock_step and values.any() and np.array_equal(values, last):
             return ()  # a tick that counts for nothing: the driver holds this command already
         if self._path is not None:
-            moving = bool(velocity_rad_s.any())
-            if not (active or moving):
-                self._path.end()
-            begins = self._path.begun or moving
-            if joints_rad is None or not (begins or self._lock_step):
+            position = self._path.follow(velocity_rad_s, joints_rad, dt_s, limits, active)
+            if position is None and self._lock_step:
+                position = joints_rad
+            if position is None:
                 return ()
-            values = joints_rad
-            if begins:
-                values = self._path.advance(velocity_rad_s, joints_rad, dt_s, limits)
+            values = position
         message = to_command(values)
         self._publisher.publish(message)
         return tuple(message.data)

@@ -1,21 +1,28 @@
-"""The example of docs/python.md does what it says."""
+"""The snippets of docs/python.md and README.md do what they say."""
 
 import re
 from pathlib import Path
 
 import pytest
+from cases import each
 
 import fvs_ros
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "python.md"
+ROOT = Path(__file__).resolve().parents[2]
+SNIPPETS = [
+    snippet
+    for page in ("docs/python.md", "README.md")
+    for snippet in re.findall(
+        r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL
+    )
+]
 
 
-def test_the_example_of_the_page_brings_the_ball_to_its_target(capsys):
-    (example,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    exec(compile(example, str(PAGE), "exec"), {})
-    first, last = capsys.readouterr().out.strip().splitlines()[-2:]
-    assert first.startswith("SERVOING")
-    assert float(last) < 1e-3
+@each("snippet", SNIPPETS)
+def test_a_snippet_brings_the_ball_to_its_target(snippet, capsys):
+    exec(compile(snippet, "snippet", "exec"), {})
+    last = capsys.readouterr().out.strip().splitlines()[-1]
+    assert float(re.fullmatch(r"on target, ([\d.]+) mm off", last)[1]) < 1.0
 
 
 def test_the_face_offers_what_it_names():

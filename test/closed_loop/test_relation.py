@@ -43,9 +43,8 @@ class Scene:
             self.lens.error = np.array([focal_error, 0.0])
             blurred = simulation._blurred
             simulation._blurred = lambda kind, z, rng: blurred(kind, self.lens.measured(z), rng)
-            chain = replace(self.loop.estimator.chain, lens=known * self.lens.error)
-            self.loop.estimator = PoeEstimator(chain, None, kind)
-            self.loop.estimation = EstimationLoop(self.loop.estimator)
+            chain = replace(self.loop.estimation.estimator.chain, lens=known * self.lens.error)
+            self.loop.estimation = EstimationLoop(PoeEstimator(chain, None, kind))
 
     def measured(self):
         noise_m = 3e-4 * self.generator.standard_normal(self.kind.size)
