@@ -24,29 +24,26 @@ from fvs_tools.servo import Servo
 
 
 @lru_cache(maxsize=4)
-def _load(name: str, joint_names: tuple[str, ...], kind: Kind) -> TrainedModel:
-    return load_model(find_file(name), joint_names, KindConfig.from_values(kind.values))
+def _load(joint_names: tuple[str, ...], kind: Kind) -> TrainedModel:
+    return load_model(find_file(kind.model), joint_names, KindConfig.from_values(kind.values))
 
 
 def make_estimator(
     method: str,
     simulation: Simulation,
     values: Mapping[str, Any] | None = None,
-    model: str = "",
     kind: Kind | None = None,
 ) -> Estimator:
     """Build an estimator by its name in the registry, as its node does.
 
-    ``values`` are the node's parameters where they differ from the defaults, ``model`` is a file or
-    a name in the project's ``config`` folder; empty: that of the package. The method
-    ``oracle``, of no node, is the simulation's true Jacobian. The kind is the controller's; by
-    default with the usual parameters.
+    ``values`` are the node's parameters where they differ from the defaults; the model is that of
+    the package. The method ``oracle``, of no node, is the simulation's true Jacobian. The kind is
+    the controller's; by default with the usual parameters.
     """
     kind = kind or simulation.kind
     if method == "oracle":
         return _Oracle(simulation, kind)
-    names = simulation.world.joint_names
-    load = partial(_load, model or kind.model, names, kind)
+    load = partial(_load, simulation.world.joint_names, kind)
     return create_estimator(method, values, load, kind)
 
 
@@ -113,10 +110,8 @@ class ClosedLoop(Servo):
         """Advance by one joint-state period and tick the controller; returns its command."""
         out = self.simulation.advance()
         for image in out.observations:
-            if image.z is not None:
-                self.see(image.stamp_s, image.z, image.number)
-            if image.object_z is not None:
-                self.see_object(image.stamp_s, image.object_z)
+            self.see(image.stamp_s, image.z, image.number)
+            self.see_object(image.stamp_s, image.object_z)
         self.observe(out.time_s, out.joints_rad)
         values = self.command(self.period_s)
         refusal = None if values is None else self.simulation.command(values)

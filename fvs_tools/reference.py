@@ -1,7 +1,8 @@
-"""``python -m fvs_tools.reference``: writes the page that follows from the declarations.
+"""``python -m fvs_tools.reference``: writes the pages that follow from the code.
 
 ``docs/reference.md`` is made from the topics, services, parameters, reasons and exit codes that the
-code declares. It is committed; a test compares it with what would be written now.
+code declares, ``docs/examples.md`` from ``examples/``. They are committed; a test compares them
+with what would be written now.
 """
 
 from __future__ import annotations
@@ -25,8 +26,29 @@ from fvs_ros.params import Parameter
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_tools.scenario import parameters_of
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference.md"
+_ROOT = Path(__file__).resolve().parents[1]
 COMMAND = "python -m fvs_tools.reference"
+
+
+def pages() -> dict[Path, str]:
+    """The generated pages by their files."""
+    docs = _ROOT / "docs"
+    return {docs / "reference.md": page(), docs / "examples.md": examples()}
+
+
+def examples() -> str:
+    """The whole of ``docs/examples.md``: question, answer and code of each."""
+    words = [
+        "# Examples",
+        "Each answers one question and runs in a clone without display, in some seconds:",
+        "```sh\npython examples/01_servo_a_ball.py\n```",
+    ]
+    for path in sorted(_ROOT.glob("examples/*.py")):
+        _, text, code = path.read_text(encoding="utf-8").split('"""', 2)
+        title, _, answer = text.partition("\n")
+        words += [f"## {title}", f"[{path.name}](../examples/{path.name})", answer.strip()]
+        words.append(f"```python\n{code.strip()}\n```")
+    return "\n\n".join(words) + "\n"
 
 
 def page() -> str:
@@ -124,12 +146,13 @@ def sentence(text: str) -> str:
 
 
 def main() -> int:
-    """Write the page."""
+    """Write the pages."""
     argparse.ArgumentParser(prog=COMMAND, description=__doc__).parse_args()
-    if not PAGE.parent.is_dir():
-        print("the page is written in the source tree only", file=sys.stderr)
+    if not (_ROOT / "docs").is_dir():
+        print("the pages are written in the source tree only", file=sys.stderr)
         return EXIT_BAD_INPUT
-    PAGE.write_text(page(), encoding="utf-8")
+    for path, text in pages().items():
+        path.write_text(text, encoding="utf-8")
     return EXIT_OK
 
 

@@ -109,8 +109,7 @@ class Servo:
         """
         if not isfinite(stamp_s):
             raise ValueError(f"stamp_s must be a finite time, s, got {stamp_s}")
-        if measurement is not None:
-            self.see(stamp_s if exposed_s is None else exposed_s, measurement)
+        self.see(stamp_s if exposed_s is None else exposed_s, measurement)
         self._now_s = stamp_s
         while self._waiting:
             self._waiting.popleft()(stamp_s)
@@ -134,18 +133,20 @@ class Servo:
         loop.supervisor.inputs[JACOBIAN].set_source_status(stamp_s, problem)
         loop.add_joints(stamp_s, stamp_s, joints)
 
-    def see(self, exposed_s: float, measurement: ArrayLike, camera: int = 0) -> None:
+    def see(self, exposed_s: float, measurement: ArrayLike | None, camera: int = 0) -> None:
         """Take what a camera measured, (m,), for the next ``observe``; from any thread.
 
-        A ball is x, y, z, m; points are u, v, px; of a tag's position, m, and quaternion
-        ``kind.parse`` makes the 12 numbers.
+        None where it saw nothing. A ball is x, y, z, m; points are u, v, px; of a tag's position
+        and quaternion ``kind.parse`` makes the 12 numbers.
         """
-        self._waiting.append(partial(self._add_image, exposed_s, measurement, camera))
+        if measurement is not None:
+            self._waiting.append(partial(self._add_image, exposed_s, measurement, camera))
 
-    def see_object(self, exposed_s: float, measurement: ArrayLike) -> None:
+    def see_object(self, exposed_s: float, measurement: ArrayLike | None) -> None:
         """Take the same of the object that targets may be relative to."""
-        z = np.asarray(measurement, dtype=float)
-        self._waiting.append(lambda now_s: self.loop.add_object(now_s, exposed_s, z))
+        if measurement is not None:
+            z = np.asarray(measurement, dtype=float)
+            self._waiting.append(lambda now_s: self.loop.add_object(now_s, exposed_s, z))
 
     def _add_image(
         self, exposed_s: float, measurement: ArrayLike, camera: int, now_s: float
@@ -200,16 +201,13 @@ class Servo:
         """
         dt_s = self._pace.joint_state(self._now_s) if dt_s is None else dt_s
         self._new_target = False
-        velocity, supervisor = (
-            self.loop.tick(self._now_s, dt_s).velocity_rad_s,
-            self.loop.supervisor,
-        )
+        velocity = self.loop.tick(self._now_s, dt_s).velocity_rad_s
         if self.loop.sliding_variable is not None:
             self.estimation.add_sliding_variable(self._now_s, self.loop.sliding_variable)
         if self._path is None:
             return velocity
-        measured, active = self.loop.measured_rad, supervisor.started
-        return self._path.follow(velocity, measured, dt_s, supervisor.config, active)
+        measured, supervisor = self.loop.measured_rad, self.loop.supervisor
+        return self._path.follow(velocity, measured, dt_s, supervisor.config, supervisor.started)
 
     @property
     def status(self) -> Command:

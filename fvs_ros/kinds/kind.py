@@ -159,7 +159,8 @@ class Kind(Parameters):
         if z.shape != (self.numbers,):
             raise ValueError(f"has numbers of shape {z.shape}, expected ({self.numbers},)")
         if not plausible(self.weights * z):
-            raise ValueError(f"is not finite, or further than {LARGEST:g} m: {z.tolist()}")
+            numbers = self.columns_of(z).tolist()
+            raise ValueError(f"is not finite, or further than {LARGEST:g} m: {numbers}")
         if not self.fits(z):
             raise ValueError(f"is no {self.name}: {np.round(z, 3).tolist()}")
         if self.on_arm and self.rigid and length(z[:3]) < _NEAREST_M:

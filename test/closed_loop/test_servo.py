@@ -135,6 +135,7 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(FileNotFoundError, match=r"nowhere\.npz"):
         Servo.load("nowhere.npz")
     servo = Servo.load(MODEL, "lkf+proportional")
+    servo.see(0.0, None)  # what saw nothing
     for target, words in (
         ([0.0, 0.0, 9.0], "workspace"),
         ([0.0, 1.0], "shape"),

@@ -123,7 +123,7 @@ def test_positions_follow_velocities_and_never_run_away_from_joints_that_do_not(
         position = path.advance(velocity, joints, 0.01, limits)
     np.testing.assert_allclose(position - joints, 0.2 * velocity)
     # Joints that jump away, or a lower limit, pull it back in steps of full speed.
-    path.end()
+    assert path.follow(0.0 * velocity, joints, 0.01, limits, active=False) is None
     path.advance(0.0 * velocity, joints, 0.01, limits)
     back = path.advance(velocity, joints - 1.0, 0.01, limits)
     np.testing.assert_allclose(back - joints, [-0.01, -0.005, -0.001])
