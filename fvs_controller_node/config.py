@@ -146,7 +146,8 @@ class SupervisorConfig(JointLimits, KindConfig, ViewConfig):
             )
         if joints < kind.least_joints:
             raise ParameterError(
-                f"a {kind.name} needs {kind.least_joints} joints or more, got {joints}"
+                f"a {kind.name} needs {kind.least_joints} joints or more, got {joints}; with fewer "
+                "set task_axes"
             )
         if kind.on_arm and self.object_may_be_hidden_s:
             raise ParameterError("object_may_be_hidden_s is not for camera_mount arm: set it to 0")

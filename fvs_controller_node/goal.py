@@ -271,7 +271,7 @@ class Goal:
             return None
         if self._error_of[0] is not z or self._error_of[1] is not target:
             self._error_of = z, target
-            self._error_m = self._config.kind.minus(z, target, self._error_m)
+            self._error_m = self._config.kind.error(z, target, self._error_m)
         return self._error_m
 
     def _outside(self, target: np.ndarray) -> str:

@@ -494,11 +494,12 @@ class ServoLoop:
 
     def _propose(self, present: Present, applied: np.ndarray, dt_s: float) -> ControlOutput:
         """Ask the law, with arm and target predicted to when its command takes effect."""
-        jacobian, joints, goal = present.jacobian, present.joints_rad, self.supervisor.goal
+        joints, goal = present.joints_rad, self.supervisor.goal
         error_m = goal.error_m
-        assert jacobian is not None
+        assert present.jacobian is not None
         assert joints is not None
         assert error_m is not None
+        jacobian = self.kind.of_task(present.z, present.jacobian)
         if self._home is None:
             self._home = joints
         chain = self._chain
@@ -511,7 +512,7 @@ class ServoLoop:
         if self._drift_m_s is not None:  # as if the target moved the other way
             velocity_m_s = (0.0 if velocity_m_s is None else velocity_m_s) - self._drift_m_s
         if self._feeds_forward and velocity_m_s is not None and velocity_m_s.any():
-            error_m = error_m - self._drive_lag.lag_s * velocity_m_s
+            error_m = error_m - self._drive_lag.lag_s * self.kind.of_task(present.z, velocity_m_s)
             feed_forward = self.law.inverse.joint_velocity(
                 jacobian, velocity_m_s, joints, self._home
             )

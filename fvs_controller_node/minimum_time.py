@@ -118,5 +118,6 @@ def _missing(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a goal misses of the wanted feature, m, (d,), and the Jacobian there, (d, n)."""
     assert state.chain is not None
-    z, jacobian = state.kind.along(state.chain, goal_rad)
-    return -state.kind.minus(z, wanted), jacobian
+    kind = state.kind
+    z, jacobian = kind.along(state.chain, goal_rad)
+    return -kind.error(z, wanted), kind.of_task(z, jacobian)

@@ -175,7 +175,8 @@ class Supervisor:
         jacobian = present.jacobian
         self.goal.see(present.z, dt_s, self.last.state is State.SERVOING)
         if jacobian is not None and jacobian is not before.jacobian:
-            values = singular_values(jacobian)[: present.freedom]
+            task = self.config.kind.of_task(present.z, jacobian)
+            values = singular_values(task)[: present.freedom]
             self._smallest_m_rad = float(values[-1])
         finding = self._objection(now_s)
         if finding is not None:

@@ -347,7 +347,7 @@ def drive(trial: Trial, simulation: Simulation) -> dict[str, Any]:
         commands.append(loop.tick())
         times_s.append(simulation.time_s - start_s)
         features_m.append(loop.true_feature)
-        errors_m.append(length(loop.kind.minus(features_m[-1], target_m)))
+        errors_m.append(length(loop.kind.error(features_m[-1], target_m)))
         if tick % JACOBIAN_EVERY == 0:
             jacobian_errors.append(jacobian_error(loop))
         near = errors_m[-1] < SETTLED_ERROR_M

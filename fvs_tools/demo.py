@@ -82,7 +82,7 @@ class TargetRecord:
     def errors_m(self) -> tuple[np.ndarray, np.ndarray]:
         """Moments, s, (n,), and errors, m, (n, d)."""
         times_s, features = zip(*self.truths, strict=True)
-        return np.array(times_s), np.array([self.kind.minus(z, self.target) for z in features])
+        return np.array(times_s), np.array([self.kind.error(z, self.target) for z in features])
 
     def score(self) -> TargetScore:
         """Score it by the truth."""

@@ -141,16 +141,12 @@ class Kind(Parameters):
 
     @property
     def freedom(self) -> int:
-        """Most components of a motion that an arm can move independently."""
+        """Most components of its task that an arm can move independently."""
         return self.size
 
     def possible(self, jacobian: np.ndarray) -> np.ndarray:
         """The nearest Jacobian, (d, n), of no more motions than an arm can make."""
-        freedom = self.freedom
-        if freedom >= min(jacobian.shape):
-            return jacobian
-        u, values, v = np.linalg.svd(jacobian, full_matrices=False)
-        return np.asarray((u[:, :freedom] * values[:freedom]) @ v[:freedom])
+        return jacobian
 
     # ---- messages: any object with the fields of the message's type --------------------------
 
@@ -224,6 +220,16 @@ class Kind(Parameters):
     def retract(self, z: np.ndarray, motion_m: np.ndarray) -> np.ndarray:
         """The measurement that a motion, m, (d,), leads to from z: the inverse of ``minus``."""
         return z + motion_m / self.unit
+
+    def error(
+        self, z: np.ndarray, target: np.ndarray, before: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Motion to z, m, (d,), from the nearest measurement that does for a target."""
+        return self.minus(z, target, before)
+
+    def of_task(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:
+        """Of motions, m, (d, ...), of z what changes the error."""
+        return motion_m
 
     def moved_by(self, z: np.ndarray, angular: np.ndarray, linear_m: np.ndarray) -> np.ndarray:
         """Motions, m, (..., d, n), of z by n twists of space: ``v + w x p`` of a point p.

@@ -146,6 +146,14 @@ class Points(Kind):
             return ""
         return f"{self.text(z)} is not in a picture of {size[0]} x {size[1]} px (picture_px)"
 
+    def possible(self, jacobian: np.ndarray) -> np.ndarray:
+        """The nearest Jacobian, (d, n), of no more motions than a rigid body's."""
+        freedom = self.freedom
+        if freedom >= min(jacobian.shape):
+            return jacobian
+        u, values, v = np.linalg.svd(jacobian, full_matrices=False)
+        return np.asarray((u[:, :freedom] * values[:freedom]) @ v[:freedom])
+
     def along(self, chain: Any, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The pixels, (m,), and their Jacobian, m/rad, (d, n), by a chain before a webcam."""
         z, by_joint = chain.position_and_jacobian(joints_rad)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import degrees, pi
+from math import atan2, degrees, pi
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,12 @@ from fvs_ros.vectors import length
 
 #: From here on noise may change which direction of rotation is the shorter one, rad.
 _HALF_TURN_RAD = 0.9 * pi
+#: What of a pose is servoed: how many numbers, and the axis whose direction is, if only that is.
+_TASKS: dict[str, tuple[int, int | None]] = {
+    "all": (6, None),
+    "position": (3, None),
+    **{f"position_{axis}": (5, i) for i, axis in enumerate("xyz")},
+}
 #: Half a tag's edge, m. It tells how much of a lens error turns a tag that faces the camera.
 _HALF_EDGE_M = 0.05
 
@@ -44,7 +50,6 @@ class Pose(Kind):
     columns = ("x", "y", "z", "qx", "qy", "qz", "qw")
     axes = ("x", "y", "z", "rx", "ry", "rz")
     outliers = 0.05  # its noise depends on the view
-    least_joints = 6
     topics = kind_topics(
         "geometry_msgs/msg/PoseStamped",
         (
@@ -71,6 +76,23 @@ class Pose(Kind):
         0.1,
         1.0,
     )
+
+    task_axes: str = parameter(
+        "all",
+        "What of a tag's pose is servoed: all; or, with five joints, position and the direction of "
+        "the tag's x, y or z axis, about which it may turn; or position alone; for pose.",
+        choices=tuple(_TASKS),
+    )
+
+    @property
+    def freedom(self) -> int:
+        """Count of the numbers that are servoed."""
+        return _TASKS[self.task_axes][0]
+
+    @property
+    def least_joints(self) -> int:  # type: ignore[override]
+        """A joint for each."""
+        return self.freedom
 
     @cached_property
     def unit(self) -> np.ndarray:
@@ -105,10 +127,44 @@ class Pose(Kind):
     ) -> np.ndarray:
         """Motion from a pose ``origin`` to z, m, (6,)."""
         rotation_rad = vector_from_rotation_rad(self.rotation(z) @ self.rotation(origin).T)
+        return self._motion(z[:3] - origin[:3], rotation_rad, before)
+
+    def _motion(
+        self, way_m: np.ndarray, rotation_rad: np.ndarray, before: np.ndarray | None
+    ) -> np.ndarray:
         angle_rad = length(rotation_rad)
         if before is not None and angle_rad > _HALF_TURN_RAD and rotation_rad.dot(before[3:]) < 0.0:
             rotation_rad = rotation_rad * (1.0 - 2.0 * pi / angle_rad)
-        return np.append(z[:3] - origin[:3], self.lever_arm_m * rotation_rad)
+        return np.append(way_m, self.lever_arm_m * rotation_rad)
+
+    def error(
+        self, z: np.ndarray, target: np.ndarray, before: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Motion to z, m, (6,), from the nearest pose with the position and axis of a target."""
+        count, axis = _TASKS[self.task_axes]
+        if count == 6:
+            return self.minus(z, target, before)
+        way_m, rotation_rad = z[:3] - target[:3], np.zeros(3)
+        if axis is not None:
+            axes = z[3:].reshape(3, 3)
+            wanted, shown = target[3:].reshape(3, 3)[axis], axes[axis]
+            across = np.cross(wanted, shown)
+            sine, angle_rad = length(across), atan2(length(across), float(wanted.dot(shown)))
+            # Any direction across is as good where they are opposite.
+            rotation_rad = angle_rad * (across / sine if sine > 1e-9 else axes[axis - 1])
+        return self._motion(way_m, rotation_rad, before)
+
+    def of_task(self, z: np.ndarray | None, motion_m: np.ndarray) -> np.ndarray:
+        """Of motions, m, (6, ...), of z what changes its error: no rotation about the axis."""
+        count, axis = _TASKS[self.task_axes]
+        if count == 6 or z is None:
+            return motion_m
+        changes, rotation = np.zeros_like(motion_m), motion_m[3:]
+        changes[:3] = motion_m[:3]
+        if axis is not None:
+            free = z[3:].reshape(3, 3)[axis]
+            changes[3:] = rotation - np.multiply.outer(free, free.dot(rotation))
+        return changes
 
     def retract(self, z: np.ndarray, motion_m: np.ndarray) -> np.ndarray:
         """The pose that a motion, m, (6,), leads to from z."""
@@ -203,6 +259,8 @@ class Pose(Kind):
 
     def error_text(self, error_m: np.ndarray) -> str:
         """An error, m, (6,), in words."""
+        if self.freedom == 3:
+            return super().error_text(error_m)
         angle_deg = degrees(length(error_m[3:]) / self.lever_arm_m)
         return f"{self.length_text(length(error_m[:3]), 1)} and {angle_deg:.2f} degrees"
 

@@ -158,6 +158,34 @@ def test_at_half_a_turn_noise_does_not_change_the_way_round(rng):
     assert np.linalg.norm(ways[-1][3:]) == pytest.approx(LEVER_M * np.pi, abs=0.01)
 
 
+@pytest.mark.parametrize("name", ["position", "position_x", "position_y", "position_z"])
+def test_the_error_of_a_task_leaves_free_what_it_does_not_name(rng, name):
+    pose, tiny = Pose(LEVER_M, task_axes=name), 1e-6
+    axis = slice(0, 3) if name == "position" else slice(3 + 3 * "xyz".index(name[-1]), None)
+    axis = slice(axis.start, axis.start + 3)
+    for _ in range(20):
+        z, target, motion = random_pose(rng), random_pose(rng), tiny * rng.normal(size=6)
+        error = pose.error(z, target)
+        done = pose.retract(z, -error)
+        np.testing.assert_allclose(done[:3], target[:3], atol=1e-12)
+        np.testing.assert_allclose(done[axis], target[axis], atol=1e-9)
+        # Nothing turns that need not.
+        np.testing.assert_allclose(pose.of_task(z, error), error, atol=1e-12)
+        free = motion - pose.of_task(z, motion)
+        turned = pose.retract(z, free / tiny)
+        assert np.linalg.norm(turned - z) > 1e-4
+        left, right = (np.linalg.norm(pose.error(each, target)) for each in (turned, z))
+        assert left == pytest.approx(right)
+
+
+def test_a_tag_that_faces_the_opposite_direction_is_half_a_turn_from_its_task(rng):
+    pose, target = Pose(LEVER_M, task_axes="position_z"), random_pose(rng)
+    opposite = pose.of_body(target[:3], pose.rotation(target) @ np.diag([1.0, -1.0, -1.0]))
+    error = pose.error(opposite, target)
+    assert np.linalg.norm(error) == pytest.approx(LEVER_M * np.pi)
+    np.testing.assert_allclose(pose.retract(opposite, -error)[9:], target[9:], atol=1e-6)
+
+
 def test_a_message_is_read_as_it_was_written_and_refused_if_it_is_no_pose(rng):
     pose, message = Pose(LEVER_M), PoseStamped()
     at = random_pose(rng)
