@@ -135,6 +135,7 @@ setup(
             "fvs_train=fvs_tools.train:main",
             "fvs_tag=fvs_tools.tag:main",
             "fvs_servo=fvs_tools.client_node:main",
+            "fvs_target=fvs_tools.client_node:target",
             "fvs_launch=fvs_tools.launcher:main",
             "fvs_experiments=fvs_lab.main:main",
         ],

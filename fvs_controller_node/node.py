@@ -62,15 +62,16 @@ class ControllerNode(ros.FvsNode):
         #: Of each camera, the last samples of targets, of all publishers together, and when.
         self._heard_targets = [deque[tuple]([()], maxlen=16) for _ in self._kind.parts]
         self._heard_target_s = [-np.inf for _ in self._kind.parts]
+        self._targets = 0  # how many have come, refused ones included
         self._refusal = ""
         self._conflicting = ""
         self._silence = ""  # of a driver that has never said whether the robot program runs
-        self._crowded = ""  # an input with more than one publisher, in words
+        self._crowded = ""  # what has more than one publisher, in words
         self._hears_others = False
         self._sent: deque[tuple[float, ...]] = deque(maxlen=64)  # own commands
         self._command: Command | None = None
         self._logged: Reason | None = None
-        self._logged_passing_s = -np.inf
+        self._logged_s: dict[Reason, float] = {}
 
         self._commands = ros.CommandPublisher(self)
         self._sliding = self.publisher(self._kind.topics.sliding)
@@ -143,7 +144,7 @@ class ControllerNode(ros.FvsNode):
         try:  # in its own frame: the goal refuses another one
             target = ros.from_feature(message, kind, frame, kind.topics.target.name)
         except ros.MessageError as error:
-            self._refusal = f"target refused: {error}"
+            self._targets, self._refusal = self._targets + 1, f"target refused: {error}"
             self.tell(ros.WARN, self._refusal)
             return
         stamp_s = ros.from_stamp(message.header.stamp)
@@ -160,14 +161,14 @@ class ControllerNode(ros.FvsNode):
         if kind.any_frame and frame != OBJECT_FRAME:
             frame = self._frame
         accepted, text = self._loop.add_target(target, frame, stamp_s, camera)
-        self._refusal = "" if accepted else text
+        self._targets, self._refusal = self._targets + 1, "" if accepted else text
         if text and not (accepted and soon):  # a moving target would flood the log
             self.tell(ros.OK if accepted else ros.WARN, text)
 
     def _take_current_as_target(self) -> tuple[bool, str]:
         accepted, text = self._loop.set_current_as_target(self.now_s())
         if accepted:
-            self._refusal = ""
+            self._targets, self._refusal = self._targets + 1, ""
         return accepted, text
 
     def _references(self) -> References:
@@ -245,14 +246,12 @@ class ControllerNode(ros.FvsNode):
     # --- outputs ---
 
     def _tell_reason(self, now_s: float, command: Command) -> None:
-        passes = command.state is State.HOLDING or command.reason in _LATE
+        passes = command.state in (State.WAITING, State.HOLDING) or command.reason in _LATE
         passes = passes and not command.reason.needs_start
-        again = passes and now_s < self._logged_passing_s + ros.REPEAT_S
+        again = passes and now_s < self._logged_s.get(command.reason, -np.inf) + ros.REPEAT_S
         if command.reason is self._logged or again:
             return
-        if passes:
-            self._logged_passing_s = now_s
-        self._logged = command.reason
+        self._logged, self._logged_s[command.reason] = command.reason, now_s
         # Before a start, waiting is normal.
         level = ros.OK if command.state is State.WAITING else _LEVELS[command.state]
         self.tell(level, f"{command.state.value}: {command.text}")
@@ -266,13 +265,11 @@ class ControllerNode(ros.FvsNode):
         hidden = self._loop.supervisor.inputs.hidden(self.now_s())
         possible = (self._refusal, silence, ranges, hidden, self._crowded)
         remarks = [remark for remark in possible if remark]
-        if self._conflicting:
-            remarks.append(f"{self._conflicting} publishes commands as well: stop it")
         text = f"{command.text} ({'; '.join(remarks)})" if remarks else command.text
         values = self._loop.status_values(self.now_s()) if self.status_heard else {}
         values.pop("state", None)
         self.publish_status(
-            max(_LEVELS[command.state], ros.WARN if self._conflicting or self._crowded else ros.OK),
+            max(_LEVELS[command.state], ros.WARN if self._crowded else ros.OK),
             command.state.value,
             text,
             {
@@ -280,6 +277,7 @@ class ControllerNode(ros.FvsNode):
                 "late_ticks": self._ticker.late,
                 "other_commanders": self._conflicting,
                 "refused_target": self._refusal,
+                "targets": self._targets,
             },
         )
 
@@ -292,15 +290,20 @@ class ControllerNode(ros.FvsNode):
         topic = self.resolve_topic_name(topics.ROBOT_PROGRAM_RUNNING.name)
         unheard = not self.monitor(topics.ROBOT_PROGRAM_RUNNING.name).count
         self._silence = _NEVER_RAN if unheard and self.count_publishers(topic) else ""
-        inputs, self._crowded = self._loop.supervisor.inputs, ""
+        inputs, crowded = self._loop.supervisor.inputs, list[str]()
         for name in (inputs[key].name for key in (*inputs.features, OBJECT, JACOBIAN)):
             count = self.count_publishers(self.resolve_topic_name(name))
             if count > 1:
-                self._crowded = f"{name} has {count} publishers: stop all but one"
+                crowded.append(f"{name} has {count} publishers: stop all but one")
         # One that is not known by name yet may be this very node.
         self._conflicting = ", ".join(
             n for n in self.other_publishers(self._commands.topic.name) if "/" in n
         )
+        if self._conflicting:
+            crowded.append(f"{self._conflicting} publishes commands as well: stop it")
+        before, self._crowded = self._crowded, "; ".join(crowded)
+        if self._crowded != before:
+            self.tell(ros.WARN, self._crowded or "only one publisher again")
         if self._conflicting and not self._hears_others:
             self._hears_others = True
             self.subscribe(self._commands.topic, self._on_any_command)

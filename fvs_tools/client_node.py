@@ -1,11 +1,15 @@
-"""``fvs_servo``: teach references, and go to them.
+"""``fvs_servo``: go to targets; teach references, and go to them.
 
+    fvs_servo target 0.05 0.15 1.5   of a ball, m; also fvs_target 0.05 0.15 1.5
+    fvs_servo target 0 0.1 1.2 0 0 90   of a tag, with a rotation vector, degrees, or a quaternion
+    fvs_servo target 320 240 300 250    of image points, px, camera by camera
     fvs_servo teach grasp        keep where the tool is, seen from the object
     fvs_servo go grasp retreat   one after the other, each until it is reached; then it stays there
     fvs_servo follow grasp       go there, and stay with the object
     fvs_servo stop
 
-A signal (Ctrl-C) stops the arm, and so does what ``go`` or ``follow`` cannot reach.
+The arm starts, and once it is there it rests. A signal (Ctrl-C) stops it, and so does what it
+cannot reach.
 """
 
 from __future__ import annotations
@@ -15,32 +19,38 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
+from functools import partial
 from math import inf, nan
 from typing import Any, NamedTuple
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, stop, topics
 from fvs_ros.arguments import Parser
+from fvs_ros.kinds import KindConfig
 
 #: A service answers within this time, s, or nobody is there.
 _ANSWER_S = 10.0
 #: Time between sentences on the way, unless the state changes, s.
 _FEEDBACK_S = 1.0
+#: Successive statuses, of 0.1 s, that say it is settled: steps too short to unsettle it are made.
+_SETTLED = 5
 #: Verb -> fewest and most names.
 _VERBS: dict[str, tuple[float, float]] = {
     "teach": (1, 1),
     "go": (1, inf),
     "follow": (1, 1),
+    "target": (2, inf),
     "stop": (0, 0),
 }
 
@@ -128,16 +138,11 @@ class ServoClient:
     def follow(self, name: str, timeout_s: float = _ANSWER_S) -> str:
         """Go to a reference and stay with its object; returns once the arm may start."""
         self._choose(name)
-        answer, end_s = self._call("go_to_reference"), time.monotonic() + timeout_s
+        answer = self._call("go_to_reference")
         if not answer.startswith(f"{name}: "):
             raise ServoError(f"another client chose at the same time: {answer}")
-        while True:
-            response = self._ask(Trigger, "start", Trigger.Request())
-            if response.success:
-                return answer
-            if time.monotonic() > end_s:
-                raise ServoError(response.message)
-            self._next_status()  # what is missing may be on its way
+        self._start(timeout_s)
+        return answer
 
     def go_to(
         self, name: str, timeout_s: float = inf, feedback: Callable[[str], None] | None = None
@@ -155,13 +160,91 @@ class ServoClient:
         feedback : callable, optional
             Gets the controller's sentences on the way: at changes of its state, else one a second.
         """
+        return self._until_reached(partial(self.follow, name), timeout_s, feedback)
+
+    def move_to(
+        self,
+        numbers: Sequence[float],
+        frame: str = "",
+        timeout_s: float = inf,
+        feedback: Callable[[str], None] | None = None,
+    ) -> Result:
+        """Go to a target, and wait as ``go_to`` does.
+
+        Parameters
+        ----------
+        numbers : sequence of float
+            Of a ball x, y, z, m; of a tag those and a quaternion x, y, z, w, or a rotation vector,
+            degrees; of image points u, v of one after the other, camera by camera, px.
+        frame : str
+            ``object`` for a target relative to it; by default the camera's.
+        timeout_s, feedback
+            As of ``go_to``.
+        """
+        return self._until_reached(partial(self._send_target, numbers, frame), timeout_s, feedback)
+
+    def stop(self) -> str:
+        """Bring the arm to rest."""
+        return self._call("stop")
+
+    # ---- how ----------------------------------------------------------------------------------
+
+    def _send_target(self, numbers: Sequence[float], frame: str, timeout_s: float) -> None:
+        """Send a target, and start once the controller has accepted it."""
+        names = [parameter.name for parameter in KindConfig.declared()]
+        answer = self._ask(GetParameters, "get_parameters", GetParameters.Request(names=names))
+        values = map(parameter_value_to_python, answer.values)
+        config = KindConfig.from_values(dict(zip(names, values, strict=True)))
+        kind, frame = config.kind, frame or config.feature_frame
+        try:
+            z = kind.parse(np.array(numbers, dtype=float))
+        except ValueError as error:
+            raise ServoError(f"the target of a {kind.what} {error}") from None
+        stamp_s = self._node.get_clock().now().nanoseconds * 1e-9
+        for part, rows in zip(kind.parts, kind.rows, strict=True):
+            message = ros.to_feature(stamp_s, frame, part, z[rows])
+            self._publish_target(part.topics.target, message)
+        self._start(timeout_s)
+
+    def _publish_target(self, topic: topics.Topic, message: Any) -> None:
+        """Publish a target, and wait until the controller has taken or refused it."""
+        before = ros.from_status(self._next_status()).get("targets")
+        publisher = self._node.create_publisher(
+            type(message), topic.name, ros.PROFILES[topic.offers]
+        )
+        self._spin(publisher.get_subscription_count, f"a subscriber of {topic.name}")
+        publisher.publish(message)
+        self._spin(
+            lambda: ros.from_status(self._status).get("targets") != before,
+            f"an answer to {topic.name}",
+        )
+        refusal = ros.from_status(self._next_status()).get("refused_target")
+        if refusal:
+            raise ServoError(refusal)
+
+    def _start(self, timeout_s: float) -> None:
+        """Start once nothing is missing."""
+        end_s = time.monotonic() + timeout_s
+        while not (response := self._ask(Trigger, "start", Trigger.Request())).success:
+            if time.monotonic() > end_s:
+                raise ServoError(response.message)
+            self._next_status()  # what is missing may be on its way
+
+    def _until_reached(
+        self,
+        begin: Callable[[float], Any],
+        timeout_s: float,
+        feedback: Callable[[str], None] | None,
+    ) -> Result:
+        """Begin a motion, and wait until it ends."""
         begin_s = time.monotonic()
         try:
-            self.follow(name, min(timeout_s, _ANSWER_S))
+            begin(min(timeout_s, _ANSWER_S))
         except ServoError as error:
             return Result(False, nan, time.monotonic() - begin_s, str(error))
-        said = self._next_status()  # the one after the present one is of this reference
-        said_s, state = 0.0, ""
+        said = self._next_status()  # the one after the present one is of this target
+        task: tuple[str | None, ...] | None = None
+        said_s, state, settled = 0.0, "", 0
         while True:
             status = self._next_status(begin_s + timeout_s)
             values, passed_s = ros.from_status(status), time.monotonic() - begin_s
@@ -169,23 +252,21 @@ class ServoClient:
             if feedback is not None and is_news and status.message != said.message:
                 feedback(status.message)
                 said, said_s, state = status, passed_s, values.get("state", "")
-            settled = values.get("settled") == "true" and values.get("state") == "SERVOING"
-            if values.get("reference") != name:
+            task, before = (values.get("reference"), values.get("targets")), task
+            if before not in (None, task):
                 return Result(False, nan, passed_s, "another target was set meanwhile")
-            reached = settled and passed_s <= timeout_s
+            now = values.get("settled") == "true" and values.get("state") == "SERVOING"
+            settled = settled + 1 if now else 0
+            late, why = passed_s > timeout_s, status.message
+            reached = settled >= _SETTLED and not late
             if reached:
                 self.stop()
-            if reached or passed_s > timeout_s or values.get("started") == "false":
+            if reached or late or values.get("started") == "false":
                 error_m = nan
                 with suppress(ValueError):  # it may be unknown
                     error_m = float(values.get("error_m", ""))
-                return Result(reached, error_m, passed_s, status.message)
-
-    def stop(self) -> str:
-        """Bring the arm to rest."""
-        return self._call("stop")
-
-    # ---- how ----------------------------------------------------------------------------------
+                why = f"{timeout_s:g} s are over: {why}" if late else why
+                return Result(reached, error_m, passed_s, why)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         self._status = message
@@ -223,7 +304,7 @@ class ServoClient:
         self._spin(future.done, f"an answer of {client.srv_name}")
         return future.result()
 
-    def _spin(self, condition: Callable[[], bool], what: str) -> None:
+    def _spin(self, condition: Callable[[], Any], what: str) -> None:
         end_s = time.monotonic() + _ANSWER_S
         while not condition():
             if stop.RECEIVED:
@@ -233,13 +314,25 @@ class ServoClient:
             self._executor.spin_once(timeout_sec=0.05)
 
 
+def target() -> int:
+    """Run ``fvs_target``."""
+    sys.argv.insert(1, "target")
+    return main()
+
+
 def main() -> int:
     """Run ``fvs_servo``."""
     parser = _parser()
     given = parser.parse_args()
     fewest, most = _VERBS[given.verb]
-    if not fewest <= len(given.names) <= most:
-        parser.error(f"{given.verb} takes {fewest} to {most} names, got {len(given.names)}")
+    if not fewest <= len(given.words) <= most:
+        count = f"{fewest} or more" if most > fewest else fewest
+        parser.error(f"{given.verb} takes {count} words, got {len(given.words)}")
+    if given.verb == "target":
+        try:
+            given.words = [float(word) for word in given.words]
+        except ValueError as error:
+            parser.error(f"a target has numbers: {error}")
     stop.listen()
     try:
         with closing(ServoClient(namespace=given.namespace)) as client:
@@ -255,7 +348,7 @@ def _do(client: ServoClient, given: argparse.Namespace) -> int:
     if given.verb == "stop":
         print(client.stop())
     elif given.verb == "teach":
-        print(client.teach(*given.names))
+        print(client.teach(*given.words))
     else:
         done = False
         try:
@@ -270,22 +363,28 @@ def _do(client: ServoClient, given: argparse.Namespace) -> int:
 
 def _move(client: ServoClient, given: argparse.Namespace) -> bool:
     if given.verb == "follow":
-        print(client.follow(*given.names))
+        print(client.follow(*given.words))
         return True
-    for name in given.names:
-        result = client.go_to(name, given.timeout_s, print)
-        how = "reached" if result.reached else "not reached"
-        print(f"{name}: {how} in {result.time_s:.1f} s; {result.reason}")
-        if not result.reached:
-            return False
-    return True
+    limits = {"timeout_s": given.timeout_s, "feedback": print}
+    if given.verb == "target":
+        return _told(client.move_to(given.words, given.frame, **limits))
+    return all(_told(client.go_to(name, **limits), f"{name}: ") for name in given.words)
+
+
+def _told(result: Result, what: str = "") -> bool:
+    """Print how a motion ended; returns whether it was reached."""
+    how = f"reached, {result.reason.removeprefix('on target, ')}"
+    how = f"{how}, in {result.time_s:.1f} s" if result.reached else f"not reached: {result.reason}"
+    print(f"{what}{how}")
+    return result.reached
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("fvs_servo", __doc__)
     parser.add_argument("verb", metavar="VERB", choices=_VERBS, help=", ".join(_VERBS))
-    parser.add_argument("names", nargs="*", metavar="NAME", help="of references")
-    parser.add_argument("--timeout-s", type=float, default=inf, help="for each reference, s")
+    parser.add_argument("words", nargs="*", metavar="NAME", help="of references, or numbers")
+    parser.add_argument("--frame", default="", help="of a target: object (default: the camera's)")
+    parser.add_argument("--timeout-s", type=float, default=inf, help="for each target, s")
     parser.add_argument("--namespace", default="", help="the controller's")
     return parser
 

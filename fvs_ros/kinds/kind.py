@@ -195,7 +195,8 @@ class Kind(Parameters):
     def parse(self, numbers: np.ndarray) -> np.ndarray:
         """Measurement of the numbers that a person writes, finite; a ``ValueError`` if wrong."""
         if len(numbers) != len(self.columns):
-            raise ValueError(f"expected {len(self.columns)} numbers, got {len(numbers)}")
+            names = " ".join(self.columns)
+            raise ValueError(f"has {len(self.columns)} numbers, {names}, got {len(numbers)}")
         return self.checked(self.of_columns(numbers))
 
     def of_columns(self, numbers: np.ndarray) -> np.ndarray:

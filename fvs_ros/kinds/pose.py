@@ -114,6 +114,13 @@ class Pose(Kind):
         p, q = message.pose.position, message.pose.orientation
         p.x, p.y, p.z, q.x, q.y, q.z, q.w = self.columns_of(z).tolist()
 
+    def parse(self, numbers: np.ndarray) -> np.ndarray:
+        """Pose of a position, m, and a quaternion or a rotation vector, degrees."""
+        if len(numbers) != 6:
+            return super().parse(numbers)
+        rotation = rotation_from_vector(np.radians(numbers[3:]))
+        return self.checked(self.of_body(numbers[:3], rotation))
+
     def of_columns(self, numbers: np.ndarray) -> np.ndarray:
         """Pose of a position, m, and a quaternion x, y, z, w."""
         return self.of_body(numbers[:3], rotation_from_quaternion(numbers[3:]))

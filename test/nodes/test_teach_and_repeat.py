@@ -92,7 +92,7 @@ def test_the_program_teaches_and_goes_there(ros_test, tmp_path):
     kitchen.robot.move_object(0.05, -0.04, 0.05)
     code, words = kitchen.run("go", "grasp")
     assert code == 0, words
-    assert "grasp: reached in" in words
+    assert "grasp: reached, " in words
     assert words.count("to go") <= 3  # one a second
     there_m = kitchen.robot.z
     assert kitchen.off_m(taught) < 0.005
@@ -109,11 +109,26 @@ def test_the_program_teaches_and_goes_there(ros_test, tmp_path):
     kitchen.wait(lambda: kitchen.reason() == "READY", what="READY")
 
 
+def test_the_program_goes_to_a_target_and_says_why_not(ros_test, tmp_path):
+    kitchen = Kitchen(ros_test, tmp_path / "references.yaml", seen=False)
+    for target in ("-5e-2", "0.12", "1.43"), ("-0.05", "0.123", "1.43"):
+        code, words = kitchen.run("target", *target)
+        assert code == 0, words
+        assert "\nreached, 0." in words
+        assert np.linalg.norm(kitchen.robot.z - np.array(target, dtype=float)) < 0.002
+    kitchen.wait(lambda: kitchen.reason() == "READY", what="rest")
+    for target, refusal in (("0 0 9", "z = 9.000 m is not in [0.1, 3]"), ("0 1", "x y z, got 2")):
+        code, words = kitchen.run("target", *target.split())
+        assert code == 1
+        assert refusal in words.partition("not reached: ")[2]
+    assert kitchen.reason() == "READY"
+
+
 @pytest.mark.parametrize(
     ("command", "number"),
     [
         (("fvs_tools.client_node", "go", "grasp"), signal.SIGINT),
-        (("fvs_tools.client_node", "go", "grasp"), signal.SIGTERM),
+        (("fvs_tools.client_node", "target", "0.1", "0.2", "1.5"), signal.SIGTERM),
         (("servo_script",), signal.SIGTERM),
         (("servo_script",), signal.SIGHUP),
     ],

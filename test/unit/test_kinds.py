@@ -46,6 +46,15 @@ def random_pose(rng: np.random.Generator) -> np.ndarray:
     return Pose(LEVER_M).of_body(rng.normal(size=3), Rotation.random(random_state=rng).as_matrix())
 
 
+def test_a_pose_is_written_with_a_quaternion_or_a_rotation_vector(rng):
+    z = random_pose(rng)
+    vector_deg = np.degrees(vector_from_rotation_rad(Pose().rotation(z)))
+    for numbers in (Pose().columns_of(z), np.append(z[:3], vector_deg)):
+        np.testing.assert_allclose(Pose().parse(numbers), z, atol=1e-9)
+    with pytest.raises(ValueError, match="7 numbers, x y z qx qy qz qw, got 5"):
+        Pose().parse(np.ones(5))
+
+
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-12, 1e-5, 0.7, 2.5, 3.0, np.pi - 1e-9, np.pi])
 def test_rotations_agree_with_scipy(rng, angle_rad):
     for _ in range(50):
