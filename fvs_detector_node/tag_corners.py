@@ -72,7 +72,8 @@ class TagReader:
     def __init__(self, tag: Tag) -> None:
         count, last = len(tag.dictionary.bytesList), max(tag.faces)
         if last >= count:
-            raise ValueError(f"tag {last} is not in {tag.tag_dictionary}, which has {count} tags")
+            first = f"tag_id can be 0 to {count - len(tag.faces)}"
+            raise ValueError(f"tag {last} is not in {tag.tag_dictionary}: {first}")
         self.tag = tag
         self._patterns = {number: _Pattern(tag, number) for number in tag.faces}
         self._options = cv2.aruco.DetectorParameters()

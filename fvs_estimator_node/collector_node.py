@@ -6,11 +6,9 @@ from fvs_ros import stop
 
 stop.listen()
 
-import os
 import sys
 from datetime import datetime, timezone
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +20,7 @@ from fvs_estimator_node.collecting import PARAMETERS, CollectionRun, CollectorCo
 from fvs_estimator_node.files import data_set_of, save_data_set
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.paths import output_file
 
 _MIN_SAMPLES = 30
 _PUBLISHERS_PERIOD_S = 0.25
@@ -33,7 +32,7 @@ class CollectorNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_collector_node", PARAMETERS)
         self._config = config = CollectorConfig.from_values(self.values)
-        self._path = _writable(Path(config.output_path))
+        self._path = output_file(config.output_path)
         self._names = config.joint_names
         self._joint_map = JointMap(self._names, config.tf_prefix)
         self._simulated_time = self.get_parameter("use_sim_time").value
@@ -135,6 +134,11 @@ class CollectorNode(ros.FvsNode):
 
     # --- status ---
 
+    def tell(self, level: bytes, text: str) -> None:
+        """Log on a line of its own, beside the progress bar."""
+        with tqdm.external_write_mode():
+            super().tell(level, text)
+
     @property
     def _positions(self) -> int:
         return sum(map(len, self._run.samples))
@@ -158,21 +162,7 @@ class CollectorNode(ros.FvsNode):
         self._ticker.end(self._run.interrupt(), self._commands)
         if interrupted:
             self._bar.close()
-            print("collecting was interrupted", file=sys.stderr)
             self._write()
-
-
-def _writable(path: Path) -> Path:
-    """The path, with its folder created now, so that errors show before minutes of motion."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_dir():
-            raise IsADirectoryError(f"{path} is a folder")
-        if not os.access(path.parent, os.W_OK):
-            raise PermissionError(f"{path.parent} cannot be written to")
-    except OSError as error:
-        raise ValueError(f"output_path: {error}") from error
-    return path
 
 
 def main() -> int:

@@ -337,10 +337,8 @@ def load_model(
             chain=content.chain() if any(name in content for name in _CHAIN) else None,
         )
         cameras = trained.cameras if expected is None else expected.kind.cameras
-        if cameras != trained.cameras:  # one without a name is taken for the first
-            chosen = trained.cameras[:1] if cameras == (UNNAMED,) else cameras
-            if set(chosen) <= set(trained.cameras):
-                trained = replace(trained.seen_by(chosen), cameras=cameras)
+        if cameras != trained.cameras and set(cameras) <= set(trained.cameras):
+            trained = trained.seen_by(cameras)
         trained.check(expected)
         return trained
 

@@ -15,12 +15,16 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
-from fvs_estimator_node.files import TrainedModel, load_model
+from fvs_estimator_node.files import TrainedModel
 from fvs_estimator_node.loop import FRESH_S, EstimationLoop
-from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator
+from fvs_estimator_node.registry import (
+    PARAMETERS,
+    EstimatorConfig,
+    create_estimator,
+    trained_model,
+)
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
-from fvs_ros.paths import find_file
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 from fvs_ros.vectors import all_finite
 
@@ -80,17 +84,10 @@ class EstimatorNode(ros.FvsNode):
         self._use(values)
 
     def _load_model(self, config: EstimatorConfig, joint_names: list[str]) -> TrainedModel:
-        name = config.model_path or self._kind.model
-        if not name:
-            raise ValueError(f"model_path: no model comes with a {self._kind.what}; train one")
-        try:
-            path = find_file(name)
-        except FileNotFoundError as error:
-            raise ValueError(f"model_path: {error}; train one with fvs_train") from error
-        trained = load_model(path, joint_names, config)
+        trained = trained_model(config, joint_names)
         self._joint_map.middle_rad = trained.joint_box_rad.mean(axis=0)
         for note in trained.notes:
-            self.tell(ros.WARN, f"{path.name}: {note}")
+            self.tell(ros.WARN, f"{config.model_path or self._kind.model}: {note}")
         return trained
 
     # --- inputs ---

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from fvs_estimator_node.base import CHAIN, Estimator, Estimators
 from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
-from fvs_estimator_node.files import TrainedModel
+from fvs_estimator_node.files import TrainedModel, load_model
 from fvs_estimator_node.on_arm import OnArmPoeEstimator
 from fvs_estimator_node.online import LkfEstimator, RlsEstimator, UkfEstimator
 from fvs_estimator_node.pixels import PixelPoeEstimator
@@ -16,7 +16,7 @@ from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator
 from fvs_ros.joints import JOINT_PARAMETERS
 from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.params import Parameter, live_parameter, parameter
-from fvs_ros.paths import registered
+from fvs_ros.paths import find_file, registered
 from fvs_ros.pixel_chain import PixelChains
 
 #: Likewise an entry point ``fvs_ros.estimators`` of another package.
@@ -49,6 +49,17 @@ class EstimatorConfig(KindConfig):
         "file that fvs_train has written: a path, or a name within the project's config folder; "
         "empty: that of the simulated UR5",
     )
+
+
+def trained_model(config: EstimatorConfig, joint_names: Sequence[str]) -> TrainedModel:
+    """The model that the parameters name; a ``ValueError`` says why it cannot serve."""
+    name = config.model_path or config.kind.model
+    if not name:
+        raise ValueError(f"model_path: no model comes with a {config.kind.what}; train one")
+    try:
+        return load_model(find_file(name), joint_names, config)
+    except FileNotFoundError as error:
+        raise ValueError(f"model_path: {error}; train one with fvs_train") from error
 
 
 def create_estimator(

@@ -17,7 +17,7 @@ from typing import Any
 from fvs_lab.report import EXPERIMENTS, LONG, write_page, write_report
 from fvs_ros import console
 from fvs_ros.arguments import Parser, how_to_install
-from fvs_ros.paths import version
+from fvs_ros.paths import output_file, version
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 #: Packages that the experiments need.
@@ -96,11 +96,9 @@ def main(argv: list[str] | None = None) -> int:
     if _lacks("fvs_experiments", NEEDS, "sim,lab"):
         return EXIT_BAD_INPUT
     try:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        (arguments.out / "index.md").touch()
-    except OSError as error:
-        why = error.strerror or error
-        print(f"fvs_experiments: cannot write to --out {arguments.out}: {why}", file=sys.stderr)
+        output_file(arguments.out / "index.md")
+    except ValueError as error:
+        print(f"fvs_experiments: --out: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
     try:
         return _run(arguments)

@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 _WIDTH, _COLUMN = 100, 22
 #: Longest part of a wrong name that is compared or repeated, characters.
 _QUOTED = 60
+#: Most names, all that one looks through, that are listed beside a likely one.
+_LISTED = 20
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> str:
-    """Refusal of an unknown name, with the nearest known one and all of them."""
+    """Refusal of an unknown name, with the nearest known one, or if many are known, all of them."""
     names = list(known)
     meant = did_you_mean(name, names)
-    return f"unknown {kind} '{name[:_QUOTED]}'; {meant}known are {', '.join(names) or 'none'}"
+    listed = "" if meant and len(names) > _LISTED else f"known are {', '.join(names) or 'none'}"
+    return f"unknown {kind} '{name[:_QUOTED]}'; {meant}{listed}".rstrip()
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Suggest the nearest known name; empty if none is near."""
-    near = difflib.get_close_matches(name[:_QUOTED], list(known), n=1)
+    names, part = list(known), name[:_QUOTED]
+    near = difflib.get_close_matches(part, names, n=1)
+    near += [each for each in names if len(part) > 2 and part.lower() in each.lower()]
     return f"did you mean {near[0]}? " if near else ""
 
 
@@ -50,6 +56,7 @@ class Parser(argparse.ArgumentParser):
             epilog="\n\n".join(listing(title, texts) for title, texts in (lists or {}).items()),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # -1e-3 is no option, either
 
     def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # type: ignore[override]
         """Read the arguments; one that is unknown ends the program with 2."""
@@ -57,6 +64,10 @@ class Parser(argparse.ArgumentParser):
         if rest:
             self.error(unknown("argument", rest[0], self._option_string_actions))
         return parsed
+
+    def error(self, message: str) -> NoReturn:
+        """End the program with 2, and say where more is to be read."""
+        super().error(f"{message}; {self.prog} --help says more")
 
 
 def listing(title: str, texts: Mapping[str, str]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,25 @@ def find_file(name: str, folder: str = "config") -> Path:
         if candidate.is_file():
             return candidate
     raise FileNotFoundError(f"no file {name}; looked in {', '.join(map(str, candidates))}")
+
+
+def output_file(name: str | Path, *endings: str) -> Path:
+    """A file to write, its folder made and tried now: errors show before minutes of work.
+
+    The ``ValueError`` says why it cannot be written; ``endings`` are those that it may have.
+    """
+    try:
+        path = Path(name).expanduser()
+        if endings and path.suffix not in endings:
+            raise ValueError(f"{path}: expected a file that ends in {' or '.join(endings)}")
+        if path.is_dir():
+            raise ValueError(f"{path} is a folder, expected the name of a file to write")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=path.parent).close()
+    except (OSError, RuntimeError) as error:  # a RuntimeError: there is no such user
+        why = getattr(error, "strerror", None) or error
+        raise ValueError(f"{name} cannot be written: {why}") from error
+    return path
 
 
 def find_mesh(name: str, urdf: Path | None = None) -> Path | None:

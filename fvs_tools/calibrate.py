@@ -11,7 +11,7 @@ from pathlib import Path
 from fvs_estimator_node.files import DataSet, load_data_set
 from fvs_ros import console
 from fvs_ros.arguments import Parser, how_to_install
-from fvs_ros.paths import find_file
+from fvs_ros.paths import find_file, output_file
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.urdf import read_joints
 from fvs_tools.calibration import calibrate, report, verdict, write
@@ -23,12 +23,8 @@ from fvs_tools.table import read_table
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
     arguments, left_out = _parser().parse_args(argv), ""
-    output = arguments.output
     try:
-        if not output.absolute().parent.is_dir():
-            raise ValueError(f"the folder {output.absolute().parent} does not exist")
-        if output.suffix == ".png":
-            raise ValueError(f"{output}: expected .yaml; the picture is written beside it")
+        output = output_file(arguments.output, ".yaml", ".yml")  # the picture is beside it
         data, arm = _inputs(arguments)
         left_out = data.provenance.get("left_out", "")
         estimate = calibrate(data, arm, arguments.camera_on_arm)

@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from fvs_estimator_node.files import data_set_of
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.paths import output_file
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.urdf import read_joints
 from fvs_tools.calibration import PARAMETERS, CalibrateConfig, calibrate, report, verdict, write
@@ -37,8 +38,7 @@ class CalibrateNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_calibrate_node", PARAMETERS)
         self._config = config = CalibrateConfig.from_values(self.values)
-        self._path, self._kind = Path(config.output_path), config.kind
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._path, self._kind = output_file(config.output_path), config.kind
         self._timeline, self._samples = Timeline(), list[Sample]()
         self._arm: Kinematics | None = None
         self._joint_map: JointMap | None = None

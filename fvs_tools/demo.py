@@ -117,7 +117,6 @@ def table(records: Sequence[TargetRecord]) -> str:
 
 def write_results(folder: Path, records: Sequence[TargetRecord]) -> None:
     """Write ``results.json``."""
-    folder.mkdir(parents=True, exist_ok=True)
     content = [{"target_m": each.target.tolist(), **asdict(each.score())} for each in records]
     (folder / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
@@ -172,5 +171,4 @@ def draw(path: Path, records: Sequence[TargetRecord], joint_names: Sequence[str]
         for record in records:
             axis.axvline(record.start_s - origin_s, color="0.7", linewidth=1, zorder=0)
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from fvs_estimator_node.files import load_model
 from fvs_ros import ros, topics
 from fvs_ros.joints import JointMap, JointStateError
-from fvs_ros.paths import find_file
+from fvs_ros.paths import find_file, output_file
 from fvs_ros.ros.services import Services
 from fvs_ros.vectors import length
 from fvs_tools import demo
@@ -33,6 +33,7 @@ class DemoNode(ros.FvsNode):
         self._config = demo.DemoConfig.from_values(self.values)
         config = self._config
         self._kind = kind = config.kind
+        self._figure = output_file(Path(config.output_dir) / "demo.png")
         self._trained = load_model(find_file(config.model_path or kind.model), expected=config)
         self._rng = np.random.default_rng(self._config.seed)
         self._joint_map = JointMap(self._trained.joint_names, config.tf_prefix)
@@ -198,11 +199,9 @@ class DemoNode(ros.FvsNode):
 
     def _conclude(self) -> None:
         self._stop.call_async(Trigger.Request())
-        folder = Path(self._config.output_dir)
-        demo.write_results(folder, self._records)
-        demo.draw(folder / "demo.png", self._records, self._joint_map.names)
-        print(f"\n{demo.table(self._records)}\n", flush=True)
-        print(f"figure: {folder / 'demo.png'}", flush=True)
+        demo.write_results(self._figure.parent, self._records)
+        demo.draw(self._figure, self._records, self._joint_map.names)
+        print(f"figure: {self._figure}\n\n{demo.table(self._records)}\n", flush=True)
         settled = all(each.score().settling_5mm_s is not None for each in self._records)
         self.exit_code = stop.EXIT_OK if settled else stop.EXIT_FAILURE
 

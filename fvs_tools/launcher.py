@@ -9,6 +9,7 @@ stop.listen()
 import argparse
 import contextlib
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -20,12 +21,13 @@ from pathlib import Path
 
 from fvs_ros import console, topics
 from fvs_ros.arguments import Parser
-from fvs_ros.paths import program
+from fvs_ros.paths import output_file, program
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_tools.scenario import (
     NODE_TABLE,
     RECORDER,
     Scenario,
+    check_estimator,
     load_scenario,
     params_yaml,
     scenario_names,
@@ -169,9 +171,10 @@ def _stop_all(processes: Sequence[_Process], first: _Process | None) -> int:
     Nodes that command the arm stop first, so that their last zeros are received and recorded.
     Observers stop last.
     """
-    done = first is not None and first.entry.task and first.popen.returncode == 0
-    if first is not None and not done:
-        _say(f"{first.end_text()}: stopping the rest")
+    code = None if first is None else first.popen.returncode
+    done = first is not None and first.entry.task and code == EXIT_OK
+    if first is not None and not (first.entry.task and code in (EXIT_OK, EXIT_FAILURE)):
+        _say(f"{first.end_text()}: stopping the rest")  # a task has said itself how it ended
     elif stop.RECEIVED:
         _say(f"{stop.name_of(stop.RECEIVED[0])}: stopping")
     commanding = [process for process in processes if process.entry.commands_arm]
@@ -249,6 +252,41 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _check_model(scenario: Scenario, arguments: argparse.Namespace) -> None:
+    """Refuse, before a node starts, a model that does not fit, with the commands that make one."""
+    values = scenario.get(topics.ESTIMATOR)
+    if values is None:
+        return
+    try:
+        check_estimator(values)
+    except ValueError as error:
+        name, path = arguments.scenario, values.get("model_path", "")
+        usual = "collect_minute" if topics.SIM in scenario else "ur5_real_collect"
+        collect = f"{name}_collect" if f"{name}_collect" in scenario_names() else usual
+        same = [each for each in arguments.param if "model_path:=" not in each]
+        collecting = [each for each in same if _takes(collect, each)]
+        if not isinstance(error.__cause__, FileNotFoundError):
+            path = "out/model.npz"  # the other file stays
+        if path != load_scenario(name)[topics.ESTIMATOR].get("model_path"):
+            same.append(f"model_path:={path}")
+        commands = (
+            ["fvs_launch", collect, "--train", path, *_words("-p", collecting)],
+            ["fvs_launch", name, *_words("--scheme", [arguments.scheme]), *_words("-p", same)],
+        )
+        lines = [f"{error}. A minute of motion gives one that fits:", *map(shlex.join, commands)]
+        raise ValueError("\n  ".join(lines)) from error
+
+
+def _takes(scenario: str, override: str) -> bool:
+    with contextlib.suppress(ValueError):
+        return bool(load_scenario(scenario, [override]))
+    return False
+
+
+def _words(option: str, values: Sequence[str]) -> list[str]:
+    return [word for value in values if value for word in (option, value)]
+
+
 @console.reader_may_leave()
 def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_launch``; returns the exit code."""
@@ -257,14 +295,11 @@ def main(argv: list[str] | None = None) -> int:
         scenario = load_scenario(
             arguments.scenario, arguments.param, arguments.scheme, arguments.record
         )
+        _check_model(scenario, arguments)
         if arguments.train and topics.COLLECTOR not in scenario:
             raise ValueError(f"--train: {arguments.scenario} starts no {topics.COLLECTOR}")
         if arguments.train:
-            from fvs_tools import train  # slow to import
-
-            model = Path(arguments.train)
-            model.parent.mkdir(parents=True, exist_ok=True)
-            train.check_output(model)
+            output_file(arguments.train)
     except (ValueError, OSError) as error:
         print(f"fvs_launch: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
@@ -275,6 +310,7 @@ def main(argv: list[str] | None = None) -> int:
     if not arguments.train or code != EXIT_OK or stop.RECEIVED:
         return code
     from fvs_estimator_node.collecting import CollectorConfig
+    from fvs_tools import train  # slow to import
 
     data = scenario[topics.COLLECTOR].get("output_path", CollectorConfig.output_path)
     return train.main([data, "-o", arguments.train, "--method", "poe"])

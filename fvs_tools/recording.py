@@ -9,6 +9,7 @@ from pathlib import Path
 
 from fvs_ros.arguments import how_to_install
 from fvs_ros.params import Parameters, parameter
+from fvs_ros.paths import output_file
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ def check_recording(folder: Path) -> None:
             "recording needs rosbags, which is missing: "
             f"{how_to_install('record,lab', ['rosbags'])}"
         )
+    output_file(folder)
 
 
 def is_recorded(topic: str, message_type: str, images: bool) -> bool:

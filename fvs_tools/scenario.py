@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -189,6 +190,17 @@ def parameters_of(node: str) -> ParameterSet:
 
 def _declared(node: str) -> ParameterSet:
     return ParameterSet([*parameters_of(node), _EVERYWHERE])
+
+
+def check_estimator(values: dict[str, Any]) -> None:
+    """A ``ValueError`` says why the estimator cannot start with the values of a scenario."""
+    from fvs_estimator_node.registry import EstimatorConfig, create_estimator, trained_model
+
+    known = parameters_of(topics.ESTIMATOR)
+    every = known.values({name: value for name, value in values.items() if name in known})
+    config = EstimatorConfig.from_values(every)
+    load = partial(trained_model, config, every["joint_names"])
+    create_estimator(config.method, every, load, config.kind)
 
 
 def params_yaml(parameters: Scenario) -> str:

@@ -14,6 +14,7 @@ from fvs_detector_node.tag_corners import TagReader
 from fvs_detector_node.tags import LAYOUTS, Tag
 from fvs_ros import console
 from fvs_ros.arguments import Parser
+from fvs_ros.paths import output_file
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 
 #: A4.
@@ -28,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     try:
         tag = Tag(arguments.dictionary, arguments.id, arguments.size_m, arguments.layout)
-        draw(tag, arguments.output)
+        draw(tag, output_file(arguments.output, ".pdf", ".png"))
     except (ValueError, OSError) as error:
         print(f"fvs_tag: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
@@ -54,11 +55,9 @@ def draw(tag: Tag, path: Path) -> None:
     most_mm = _PAGE_MM[0] - 20.0  # margins that a printer may need
     if width_mm > most_mm:
         raise ValueError(
-            f"the page takes tags of {1e-3 * most_mm * size_mm / width_mm:.3f} m at most, "
-            f"got {tag.tag_size_m:g} m"
+            f"an A4 page takes the layout {tag.tag_layout} with tags of at most "
+            f"{1e-3 * np.floor(most_mm * size_mm / width_mm):g} m, got {tag.tag_size_m:g} m"
         )
-    if path.suffix not in (".pdf", ".png"):
-        raise ValueError(f"the output must end in .pdf or .png, got {path.name}")
     figure = Figure(figsize=(_PAGE_MM[0] / 25.4, _PAGE_MM[1] / 25.4))
     page = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     page.axis("off")

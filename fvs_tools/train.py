@@ -17,6 +17,7 @@ from fvs_estimator_node.files import DataSet, TrainedModel, load_data_set, save_
 from fvs_estimator_node.training import METHODS, TrainingOptions, lens_text, train
 from fvs_ros import console
 from fvs_ros.arguments import Parser
+from fvs_ros.paths import output_file
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_tools.table import read_table
 
@@ -28,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         of_table = arguments.data.suffix == ".csv"
         data = read_table(arguments.data)[0] if of_table else load_data_set(arguments.data)
-        check_output(arguments.output)
+        output = output_file(arguments.output)
         trained = _train(data, arguments)
         provenance = {
             **trained.provenance,
@@ -37,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             "numpy": np.__version__,
             "python": platform.python_version(),
         }
-        save_model(arguments.output, replace(trained, provenance=provenance))
+        save_model(output, replace(trained, provenance=provenance))
     except (ValueError, OSError) as error:
         print(f"fvs_train: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
@@ -48,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(report(trained))
     for note in trained.notes:  # the estimator repeats them for the model that it loads
         print(f"note: {note}", file=sys.stderr if arguments.quiet else sys.stdout)
-    print(f"model written to {arguments.output}")
+    print(f"model written to {output}; use it with -p model_path:={output}")
     return EXIT_OK
 
 
@@ -98,14 +99,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
     return parser
-
-
-def check_output(path: Path) -> None:
-    """Check before the training that the model can be written."""
-    if path.is_dir():
-        raise ValueError(f"{path} is a folder, expected the name of a model file to write")
-    if not path.absolute().parent.is_dir():
-        raise ValueError(f"the folder {path.absolute().parent} for the model does not exist")
 
 
 def report(trained: TrainedModel) -> str:

@@ -269,11 +269,11 @@ def test_a_page_shows_all_tags_of_a_layout_at_their_places(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--size-m", "0.2"], "takes tags of 0.152 m at most"),
+        (["--size-m", "0.2"], "single with tags of at most 0.152 m"),
         (["--dictionary", "36h11"], "tag_dictionary must be one of"),
         (["--id", "9999"], "tag 9999 is not in APRILTAG_36h11"),
-        (["-o", "tag.jpg"], "must end in .pdf or .png"),
-        (["-o", "/nowhere/tag.pdf"], "/nowhere"),
+        (["-o", "tag.jpg"], "expected a file that ends in .pdf or .png"),
+        (["-o", "/proc/no/tag.pdf"], "/proc/no/tag.pdf cannot be written"),
     ],
 )
 def test_what_cannot_be_printed_is_refused(arguments, words, capsys, tmp_path, monkeypatch):

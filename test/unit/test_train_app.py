@@ -42,7 +42,9 @@ def test_a_chain_teaches_the_networks(data_file, tmp_path, capsys):
     assert 0.0 < trained.errors["distillation_error"] < 0.05
     first = model.read_bytes()
     assert main([*arguments, "--quiet"]) == 0
-    assert capsys.readouterr().out == f"model written to {model}\n"
+    assert (
+        capsys.readouterr().out == f"model written to {model}; use it with -p model_path:={model}\n"
+    )
     assert model.read_bytes() == first
 
 
@@ -60,7 +62,7 @@ def first_20(path):
         (lambda path: path.parent / "no.npz", (), "does not exist"),
         (lambda path: path, ("--neurons", "0"), "neurons must"),
         (lambda path: path, ("--method", "poe", "--neurons", "0"), "neurons must"),
-        (lambda path: path, ("-o", "/nowhere/model.npz"), "folder"),
+        (lambda path: path, ("-o", "/proc/no/model.npz"), "cannot be written"),
         (first_20, (), "expected at least"),
         (first_20, ("--method", "poe"), "at least 200 images"),
     ],
