@@ -224,7 +224,7 @@ def _parser() -> argparse.ArgumentParser:
         "--scheme",
         default="",
         metavar="NAME",
-        help="use the estimator method and the control law of a scheme; -p overrides them",
+        help="use the estimator method and the control law of a scheme, or of METHOD+LAW; -p wins",
     )
     parser.add_argument("--namespace", default="", help="ROS namespace of all nodes")
     parser.add_argument(
