@@ -34,7 +34,7 @@ _NOT_RUN = {
     r"source|export|cd": "of the shell",
     r"sudo|(\S*pip|rosdep) install|git ": "installs",
     r"make (experiments|bench|model|test|coverage|docs)": "takes long",
-    r".*(my_|poses\.csv|odd_run|\./FOLDER)": "needs your files",
+    r".*(my_bag|poses\.csv|odd_run|\./FOLDER)": "needs your files",
     r"fvs_servo .*retreat": "needs what you taught",
 }
 
