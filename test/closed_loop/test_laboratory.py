@@ -110,7 +110,7 @@ def test_a_page_names_a_command_that_makes_it(tmp_path, capsys):
     (command,) = re.findall(r"Made by `fvs_experiments (.*?)`", page)
     assert shlex.split(command) == arguments
     assert main.main([*arguments[:-1], "none"]) == 2
-    assert "known are 'proposed'" in capsys.readouterr().err
+    assert "known are proposed" in capsys.readouterr().err
 
 
 # ---- estimators -----------------------------------------------------------------------------
