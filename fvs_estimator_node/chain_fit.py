@@ -14,11 +14,11 @@ prismatic, too: then it turns the motion of no joint behind it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -31,6 +31,9 @@ from fvs_ros.chain import MOST_LENS, MOST_PLAY_RAD, SerialChain, cross_matrix
 from fvs_ros.filter import OUTLIER
 from fvs_ros.timeline import MAX_GAP_S
 from fvs_ros.vectors import LARGEST, largest, plausible
+
+#: Applies a function to all items, like the built-in ``map``: here or by other processes.
+Workers = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
 #: Fewest images that a chain is fitted to.
 _MIN_SAMPLES = 200
@@ -166,10 +169,13 @@ class ChainFit(Fit):
         return np.sqrt(square) / np.linalg.norm(jacobian, axis=(1, 2))
 
 
-def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> ChainFit:
+def fit_chain(
+    data: DataSet, progress: Callable[[str], None] | None = None, workers: Workers = map
+) -> ChainFit:
     """Fit a chain to a minute of motion of all joints, or more; ``progress`` gets words on it.
 
-    A ``ChainFitError`` says that there is too little data, or that nothing fits.
+    The workers try the starts; the result does not depend on them. A ``ChainFitError`` says that
+    there is too little data, or that nothing fits.
     """
     if not data.kind.rigid:
         raise ChainFitError(f"a {data.kind.what} is no rigid body, so there is no chain to find")
@@ -197,7 +203,7 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
     # Matrices of few columns: on a busy machine more threads took twenty times as long.
     with threadpool_limits(1):
         say("looking for the axes")
-        start = fitting.start()
+        start = fitting.start(workers)
         say("fitting")
         fit = fitting.finish(start)
         for _ in range(_PLAY_ROUNDS):
@@ -248,32 +254,40 @@ class _Fitting:
         self._path = self._paths[0]
         z = data.z[self._path.indices]
         self._z = self._weights * (z if lens is None else self._kind.without_lens(z, *lens))
+        self._spread_m = float(np.linalg.norm(self._z[:, :3].std(axis=0)))
 
-    def start(self) -> _Optimum:
+    def start(self, workers: Workers) -> _Optimum:
         """The best of some random chains; an optimum that is found twice is taken for it."""
         rng, joints = np.random.default_rng(0), self._path.joints_and_velocities(0.0)[0]
         middle, reference = self._z.mean(axis=0), joints.mean(axis=0)
-        spread_m = float(np.linalg.norm(self._z[:, :3].std(axis=0)))
+        drawn = (rng.normal(size=(2, len(reference), 3)) for _ in range(_MOST_STARTS))
+        chains = (
+            SerialChain(
+                axes,
+                middle[:3] + self._spread_m * points,
+                middle,
+                reference,
+                on_arm=self._kind.on_arm,
+            )
+            for axes, points in drawn
+        )
         optima: list[_Optimum] = []
-        while len(optima) < _MOST_STARTS:
-            axes, points = rng.normal(size=(2, len(reference), 3))
-            points_m = middle[:3] + spread_m * points
-            on_arm = self._kind.on_arm
-            chain = SerialChain(axes, points_m, middle, reference, on_arm=on_arm)
-            optima.append(self._from_afar(chain, spread_m))
+        for optimum in workers(self._from_afar, chains):
+            optima.append(optimum)
             best, *others = sorted(optimum.cost for optimum in optima)
             if len(optima) >= _LEAST_STARTS and others[0] < (1.0 + _SAME) * best + _SAME_COST:
                 break
         optimum = min(optima, key=_cost)
         for joint in range(len(reference)):
-            shifting = self._from_afar(with_slide(optimum.chain, joint), spread_m)
+            shifting = self._from_afar(with_slide(optimum.chain, joint))
             optimum = min(optimum, shifting, key=_cost)
         return optimum
 
-    def _from_afar(self, chain: SerialChain, spread_m: float) -> _Optimum:
+    @threadpool_limits.wrap(limits=1)  # of a worker, too
+    def _from_afar(self, chain: SerialChain) -> _Optimum:
         """The optimum from a start that may be far from it, by a new chart after some steps."""
         images, size = self._z.shape
-        unit = np.broadcast_to(np.eye(size) / (_ROUGH * spread_m), (images, size, size))
+        unit = np.broadcast_to(np.eye(size) / (_ROUGH * self._spread_m), (images, size, size))
         spread = np.linspace(0, images - 1, min(_SEARCH_SAMPLES, images)).astype(int)
         optimum = _Optimum(chain, 0.0, math.inf)
         for _ in range(_CHARTS):

@@ -20,7 +20,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
-from fvs_estimator_node.chain_fit import LEAST_PAIRS, ChainFitError, Fit, with_slide
+from fvs_estimator_node.chain_fit import LEAST_PAIRS, ChainFitError, Fit, Workers, with_slide
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path
 from fvs_ros.chain import SerialChain
@@ -103,7 +103,9 @@ class PixelFit(Fit):
         return np.asarray(np.sqrt(variance) / np.linalg.norm(jacobian, axis=(1, 2)))
 
 
-def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> PixelFit:
+def fit_pixels(
+    data: DataSet, progress: Callable[[str], None] | None = None, workers: Workers = map
+) -> PixelFit:
     """Fit a chain and its lens to pixels and joints.
 
     Parameters
@@ -112,6 +114,8 @@ def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> 
         Of the kind ``points``: a minute of motion of all joints, or still poses.
     progress : callable, optional
         Called with a text at each stage.
+    workers : callable, optional
+        Try the starts; the result does not depend on them.
 
     Raises
     ------
@@ -135,7 +139,7 @@ def fit_pixels(data: DataSet, progress: Callable[[str], None] | None = None) -> 
     search = _Fitting(path, replace(data, z=data.z[:, columns]))
     with threadpool_limits(1):  # matrices of few columns
         say("looking for the axes")
-        start = search.start()
+        start = search.start(workers)
         say("fitting")
         fit = search.finish(start)
         if len(columns) < data.z.shape[1]:
@@ -214,17 +218,14 @@ class _Fitting:
         self._middle, self._side = self.pixels.mean(axis=(0, 1)), float(np.abs(data.z).max())
         self._few = _spread(np.arange(len(self.pixels)), _SEARCH_IMAGES)
 
-    def start(self) -> list[PixelChain]:
+    def start(self, workers: Workers) -> list[PixelChain]:
         """The best few of some random chains, each joint of which may be prismatic, too."""
         rng = np.random.default_rng(0)
         optima: list[tuple[float, PixelChain]] = []
 
-        def improve(model: PixelChain) -> bool:
+        def enough(improved: tuple[float, float, PixelChain]) -> bool:
             """Whether a few optima are as good as the best one, and that as the noise allows."""
-            scale_px, noise_px = _ROUGH * self.spread_px, math.nan
-            for least_gain in _ENOUGH:  # beside a rough scale, the lens remains as guessed
-                model = self._descend(model, self._few, scale_px, least_gain).model
-                scale_px, noise_px = self._deviations_px(model)
+            scale_px, noise_px, model = improved
             optima.append((scale_px, model))
             optima.sort(key=itemgetter(0))
             if len(optima) < (_LEAST_STARTS if math.isnan(noise_px) else _FEW):
@@ -232,11 +233,21 @@ class _Fitting:
             best_px, worst_px = optima[0][0], optima[_FEW - 1][0]
             return worst_px <= _SAME * best_px and not best_px > _MISFIT_LIMIT * noise_px
 
-        if not any(improve(self._random(rng)) for _ in range(_MOST_STARTS)):
+        starts = (self._random(rng) for _ in range(_MOST_STARTS))
+        if not any(map(enough, workers(self._improved, starts))):
             for joint in range(len(optima[0][1].chain.axes)):
                 best = optima[0][1]
-                improve(replace(best, chain=with_slide(best.chain, joint)))
+                enough(self._improved(replace(best, chain=with_slide(best.chain, joint))))
         return [model for _, model in optima[:_FEW]]
+
+    @threadpool_limits.wrap(limits=1)  # of a worker, too
+    def _improved(self, model: PixelChain) -> tuple[float, float, PixelChain]:
+        """The optimum from a start, after deviations of its residuals and of their noise, px."""
+        scale_px, noise_px = _ROUGH * self.spread_px, math.nan
+        for least_gain in _ENOUGH:  # beside a rough scale, the lens remains as guessed
+            model = self._descend(model, self._few, scale_px, least_gain).model
+            scale_px, noise_px = self._deviations_px(model)
+        return scale_px, noise_px, model
 
     def _random(self, rng: np.random.Generator) -> PixelChain:
         """A chain anywhere about the points, which stay before a usual lens."""

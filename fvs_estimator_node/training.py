@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.chain_fit import ChainFit, fit_chain
+from fvs_estimator_node.chain_fit import ChainFit, Workers, fit_chain
 from fvs_estimator_node.files import DataSet, TrainedModel, range_of
 from fvs_estimator_node.joint_path import MAX_OFFSET_S, STILL_RAD, behind_play
 from fvs_estimator_node.pairs import Pairs, Progress, TrainingError, ridge_weights
@@ -74,6 +74,7 @@ def train(
     options: TrainingOptions | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
+    workers: Workers = map,
 ) -> TrainedModel:
     """Train the networks, and fit a chain.
 
@@ -87,6 +88,8 @@ def train(
         Called after each iteration of ``varpro``.
     say : callable, optional
         Called with a sentence at each step.
+    workers : callable, optional
+        Try the starts of a chain; the result does not depend on them.
 
     Returns
     -------
@@ -113,8 +116,8 @@ def train(
     if len(data.cameras) > 1:
         if not poe:
             raise TrainingError("pairs of images are of one camera: train with the method poe")
-        return _of_several(data, options, rng, say)
-    fit, why = _fitted(data, say, needed=poe)
+        return _of_several(data, options, rng, say, workers)
+    fit, why = _fitted(data, say, workers, needed=poe)
     if fit is not None and fit.chain.play_rad.any():
         data = behind_play(data, fit.chain.play_rad)
     model, trained_on, errors = _networks(data, fit, options, rng, progress, say)
@@ -157,6 +160,7 @@ def _of_several(
     options: TrainingOptions,
     rng: np.random.Generator,
     say: Callable[[str], None] | None,
+    workers: Workers,
 ) -> TrainedModel:
     """Networks of all cameras at once, distilled from a chain before each."""
     each = list[TrainedModel]()
@@ -164,7 +168,7 @@ def _of_several(
         if say is not None:
             say(f"camera {camera}")
         try:
-            each.append(train(part, options, say=say))
+            each.append(train(part, options, say=say, workers=workers))
         except ValueError as error:
             raise TrainingError(f"{camera}: {error}") from error
     chains = (trained.chain for trained in each)
@@ -193,13 +197,13 @@ def _of_several(
 
 
 def _fitted(
-    data: DataSet, say: Callable[[str], None] | None, needed: bool
+    data: DataSet, say: Callable[[str], None] | None, workers: Workers, needed: bool
 ) -> tuple[AnyFit | None, str]:
     """The chain's fit, or why there is none; a ``ValueError`` if one is needed."""
     try:
         if not data.kind.rigid:
-            return fit_pixels(data, say), ""
-        fit = fit_chain(data, say)
+            return fit_pixels(data, say, workers), ""
+        fit = fit_chain(data, say, workers)
         carried = data.kind.nearest(fit.chain.feature_m)  # it was fitted number by number
         return replace(fit, chain=replace(fit.chain, feature_m=carried)), ""
     except ValueError as error:  # also of numpy's linear algebra

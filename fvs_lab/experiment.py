@@ -20,6 +20,7 @@ from fvs_lab.report import Words
 from fvs_lab.results import Interval, Results, Table
 from fvs_lab.trials import Trial, run_trial
 from fvs_ros.kinds.ball import Ball
+from fvs_tools.workers import Workers
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -36,8 +37,8 @@ class Context:
     out: Path
     #: Number of seeded cases or worlds; each experiment has its own default.
     seeds: int | None = None
-    #: Number of processes.
-    jobs: int = 1
+    #: What runs the trials.
+    workers: Workers = field(default_factory=Workers)
     #: Whether to run a small part of everything, as a smoke test.
     quick: bool = False
     #: Schemes that run in random worlds; empty for all.
@@ -58,19 +59,13 @@ class Context:
         return list(items)[: count if self.quick else None]
 
     def map(self, function: Callable[[T], R], items: Iterable[T], label: str) -> list[R]:
-        """Apply a function to all items, on all cores, with a progress bar.
-
-        The function must be importable by other processes; the results are in the items' order,
-        whatever the number of processes.
-        """
-        from joblib import Parallel, delayed
+        """Apply a function to all items, by the workers, with a progress bar."""
         from tqdm import tqdm
 
         items = list(items)
         if not sys.stderr.isatty():
             print(f"   {label}: {len(items)} runs ...", flush=True)
-        parallel = Parallel(n_jobs=self.jobs, return_as="generator")
-        done = parallel(delayed(function)(item) for item in items)
+        done = self.workers(function, items)
         return list(tqdm(done, desc=label, total=len(items), leave=False, disable=None))
 
     def run(self, trials: Iterable[Trial], label: str) -> Results:

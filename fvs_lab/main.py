@@ -19,6 +19,7 @@ from fvs_ros import console
 from fvs_ros.arguments import Parser, how_to_install
 from fvs_ros.paths import output_file, version
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
+from fvs_tools.workers import HELP, Workers
 
 #: Packages that the experiments need.
 NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
@@ -49,6 +50,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: all cores)"
     )
+    parser.add_argument("--backend", default=Workers.backend, help=HELP)
     parser.add_argument(
         "--out", type=Path, default=Path("out/experiments"), help="folder (default: %(default)s)"
     )
@@ -114,13 +116,14 @@ def _run(arguments: argparse.Namespace) -> int:
 
     try:
         schemes_called(arguments.scheme)
+        workers = Workers(arguments.backend, arguments.jobs).checked()
     except ValueError as error:
         print(f"fvs_experiments: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
     context = Context(
         out=arguments.out,
         seeds=arguments.seeds,
-        jobs=arguments.jobs,
+        workers=workers,
         quick=arguments.quick,
         schemes=tuple(arguments.scheme),
     )

@@ -20,6 +20,7 @@ from fvs_ros.arguments import Parser
 from fvs_ros.paths import output_file
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_tools.table import read_table
+from fvs_tools.workers import HELP, Workers
 
 
 @console.reader_may_leave()
@@ -55,6 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _train(data: DataSet, arguments: argparse.Namespace) -> TrainedModel:
     options = TrainingOptions(arguments.method, arguments.neurons, arguments.seed)
+    workers = Workers(arguments.backend).checked() if arguments.backend else map
     say = None if arguments.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
     with tqdm(
         desc="training",
@@ -70,7 +72,7 @@ def _train(data: DataSet, arguments: argparse.Namespace) -> TrainedModel:
             bar.update(iteration - bar.n)
             bar.set_postfix_str(f"error {100.0 * error:.2f} %")
 
-        return train(data, options, on_progress, say)
+        return train(data, options, on_progress, say, workers)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -97,6 +99,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seed", type=int, default=defaults.seed, help="equal seeds give equal models (default 0)"
     )
+    parser.add_argument("--backend", help=f"{HELP} (default: this process)")
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
     return parser
 

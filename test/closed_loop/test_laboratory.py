@@ -31,6 +31,7 @@ from fvs_lab.trials import (
     run_trial,
     stable_noise_m,
 )
+from fvs_tools.workers import Workers
 
 
 @pytest.mark.parametrize("name", [name for name in EXPERIMENTS if name not in ("everyday", "tags")])
@@ -66,7 +67,7 @@ def test_the_same_runs_come_from_one_process_and_from_two(tmp_path):
         for world in worlds
         for trial in trials_in(world, schemes_called(["proposed", "best"]))
     ]
-    elsewhere = Context(tmp_path, jobs=2).map(run_trial, trials, "test")
+    elsewhere = Context(tmp_path, workers=Workers(jobs=2)).map(run_trial, trials, "test")
     for here, there in zip(map(run_trial, trials), elsewhere, strict=True):
         np.testing.assert_equal(here, there)
 

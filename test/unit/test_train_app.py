@@ -41,7 +41,7 @@ def test_a_chain_teaches_the_networks(data_file, tmp_path, capsys):
     assert 0.0 < trained.errors["jacobian_deviation"] < 0.005
     assert 0.0 < trained.errors["distillation_error"] < 0.05
     first = model.read_bytes()
-    assert main([*arguments, "--quiet"]) == 0
+    assert main([*arguments, "--quiet", "--backend", "threading"]) == 0
     assert (
         capsys.readouterr().out == f"model written to {model}; use it with -p model_path:={model}\n"
     )
@@ -65,6 +65,8 @@ def first_20(path):
         (lambda path: path, ("-o", "/proc/no/model.npz"), "cannot be written"),
         (first_20, (), "expected at least"),
         (first_20, ("--method", "poe"), "at least 200 images"),
+        (lambda path: path, ("--backend", "nowhere"), "Invalid backend: nowhere"),
+        (lambda path: path, ("--backend", "loky,2"), "expected NAME,key=value"),
     ],
 )
 def test_bad_input_is_one_sentence_and_code_2(data_file, capsys, data_of, options, words):
