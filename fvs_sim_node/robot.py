@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from fvs_ros.arguments import how_to_install
 from fvs_ros.paths import find_file, find_mesh
 from fvs_ros.urdf import UrdfJoint, moving_chain, read_joints, read_robot
 from fvs_sim_node.camera import CAMERAS, RigidPose
@@ -17,6 +18,8 @@ from fvs_sim_node.camera import CAMERAS, RigidPose
 #: widths, rad, kinematic order.
 HOME_JOINTS_RAD = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
 TRAINING_BOX_RAD = (0.6, 0.5, 0.5, 0.5, 0.5, 0.5)
+
+NEEDS_PYBULLET = f"the simulator needs pybullet: {how_to_install('sim', ['pybullet-arm64'])}"
 
 #: By element of a URDF, what holds the name of a link or joint.
 _NAMED = {"link": "name", "joint": "name", "parent": "link", "child": "link", "mimic": "joint"}

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from fvs_ros.arguments import how_to_install
+from fvs_sim_node.robot import NEEDS_PYBULLET
 
 
 @contextmanager
@@ -35,8 +35,7 @@ try:
         import pybullet
         from pybullet_utils.bullet_client import BulletClient
 except ImportError as error:
-    words = f"the simulator needs pybullet: {how_to_install('sim', ['pybullet-arm64'])} ({error})"
-    raise ImportError(words) from None
+    raise ImportError(f"{NEEDS_PYBULLET} ({error})") from None
 
 __all__ = ["BulletClient", "box", "pybullet", "sphere", "without_banner"]
 

@@ -8,6 +8,7 @@ stop.listen()
 
 import argparse
 import contextlib
+import importlib.util
 import os
 import shlex
 import signal
@@ -23,6 +24,7 @@ from fvs_ros import console, topics
 from fvs_ros.arguments import Parser
 from fvs_ros.paths import output_file, program
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
+from fvs_sim_node.robot import NEEDS_PYBULLET
 from fvs_tools.scenario import (
     NODE_TABLE,
     RECORDER,
@@ -252,39 +254,36 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _check_model(scenario: Scenario, arguments: argparse.Namespace) -> None:
-    """Refuse, before a node starts, a model that does not fit, with the commands that make one."""
-    values = scenario.get(topics.ESTIMATOR)
-    if values is None:
-        return
+def _check(scenario: Scenario, arguments: argparse.Namespace) -> None:
+    """Refuse, before a node starts, what cannot run: without PyBullet, or with a wrong model.
+
+    The ``ValueError`` says what to install, or the commands that make a right model.
+    """
+    if topics.SIM in scenario and importlib.util.find_spec("pybullet") is None:
+        raise ValueError(NEEDS_PYBULLET)
+    values, name = scenario.get(topics.ESTIMATOR, {}), arguments.scenario
     try:
-        check_estimator(values)
+        if topics.ESTIMATOR in scenario:
+            check_estimator(values)
     except ValueError as error:
-        name, path = arguments.scenario, values.get("model_path", "")
         usual = "collect_minute" if topics.SIM in scenario else "ur5_real_collect"
         collect = f"{name}_collect" if f"{name}_collect" in scenario_names() else usual
+        missing = isinstance(error.__cause__, FileNotFoundError)  # else the file stays
+        model = shlex.quote(values["model_path"]) if missing else "out/model.npz"
         same = [each for each in arguments.param if "model_path:=" not in each]
-        collecting = [each for each in same if _takes(collect, each)]
-        if not isinstance(error.__cause__, FileNotFoundError):
-            path = "out/model.npz"  # the other file stays
-        if path != load_scenario(name)[topics.ESTIMATOR].get("model_path"):
-            same.append(f"model_path:={path}")
-        commands = (
-            ["fvs_launch", collect, "--train", path, *_words("-p", collecting)],
-            ["fvs_launch", name, *_words("--scheme", [arguments.scheme]), *_words("-p", same)],
-        )
-        lines = [f"{error}. A minute of motion gives one that fits:", *map(shlex.join, commands)]
-        raise ValueError("\n  ".join(lines)) from error
+        words = {each: f" -p {shlex.quote(each)}" for each in same}
+        scheme = f" --scheme {arguments.scheme}" if arguments.scheme else ""
+        raise ValueError(
+            f"{error}. A minute of motion gives one that fits:\n  fvs_launch {collect} "
+            f"--train {model}{''.join(words[each] for each in same if _takes(collect, each))}\n"
+            f"  fvs_launch {name}{scheme}{''.join(words.values())} -p model_path:={model}"
+        ) from error
 
 
 def _takes(scenario: str, override: str) -> bool:
     with contextlib.suppress(ValueError):
         return bool(load_scenario(scenario, [override]))
     return False
-
-
-def _words(option: str, values: Sequence[str]) -> list[str]:
-    return [word for value in values if value for word in (option, value)]
 
 
 @console.reader_may_leave()
@@ -295,7 +294,7 @@ def main(argv: list[str] | None = None) -> int:
         scenario = load_scenario(
             arguments.scenario, arguments.param, arguments.scheme, arguments.record
         )
-        _check_model(scenario, arguments)
+        _check(scenario, arguments)
         if arguments.train and topics.COLLECTOR not in scenario:
             raise ValueError(f"--train: {arguments.scenario} starts no {topics.COLLECTOR}")
         if arguments.train:

@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         tag = Tag(arguments.dictionary, arguments.id, arguments.size_m, arguments.layout)
         draw(tag, output_file(arguments.output, ".pdf", ".png"))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:  # of matplotlib
         print(f"fvs_tag: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
     print(
