@@ -38,7 +38,7 @@ SELDOM = "window.requestAnimationFrame = draw => setTimeout(() => draw(performan
 #: Whether the arm is on its way, as the curves have shown for a while, with a new picture.
 MOVING = """() => document.getElementById("fvs-banner").dataset.state == "SERVOING"
     && parseFloat(document.getElementById("fvs-error").innerText) > 20
-    && !document.getElementById("fvs-picture")?.innerText"""
+    && !document.querySelector("#fvs-picture, #fvs-next").innerText"""
 CURVES_MS, PATIENCE_MS = 20_000, 120_000
 
 
@@ -62,7 +62,9 @@ def window(width: int, height: int) -> Iterator[Any]:
 
 def shoot(path: Path, width: int, height: int, parameters: tuple[str, ...]) -> None:
     """Start the scenario, wait until there is something to see, and write the picture."""
-    settings = [word for each in ("port:=0", *parameters) for word in ("-p", each)]
+    # In lock step, so that a busy computer does not hold the arm.
+    parameters = "port:=0", "simulated_time:=true", *parameters
+    settings = [word for each in parameters for word in ("-p", each)]
     command = [sys.executable, "-m", "fvs_tools.launcher", "dashboard", *settings]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -76,6 +78,9 @@ def shoot(path: Path, width: int, height: int, parameters: tuple[str, ...]) -> N
                 page.wait_for_timeout(CURVES_MS)
                 page.wait_for_function(MOVING, timeout=PATIENCE_MS)
                 page.screenshot(path=path)
+                while not page.evaluate(MOVING):  # a busy computer may have held it meanwhile
+                    page.wait_for_function(MOVING, timeout=PATIENCE_MS)
+                    page.screenshot(path=path)
         finally:
             process.send_signal(signal.SIGINT)
     print(path)

@@ -20,11 +20,10 @@ HISTORY_S = 20.0
 #: The controller's parameter with the name of the reference.
 REFERENCE = f"{topics.CONTROLLER}/reference"
 #: The simulator's parameters of where the object is, in the robot's root link.
-OBJECT_POSITION = f"{topics.SIM}/object_position_m"
-OBJECT_ROTATION = f"{topics.SIM}/object_rotation_deg"
+OBJECT_PLACE = "object_position_m", "object_rotation_deg"
 #: Display time of the newest value by name, s.
 _SHOWN_S = {"controller": SILENT_S, "detector": 2.0, "answer": 12.0}
-_SHOWN_S |= dict.fromkeys(("feature", "truth", "object"), 0.5)
+_SHOWN_S |= dict.fromkeys(("feature", "truth", "true_errors", "object"), 0.5)
 
 
 class Action(NamedTuple):
@@ -130,6 +129,10 @@ class Board:
     def add_status(self, now_s: float, controller: Controller) -> None:
         """Add the controller's status."""
         self.note("controller", now_s, controller)
+        truth, target = self.feature(now_s, "truth"), controller.target(self._kind)
+        if truth is not None and target is not None:
+            error_m = self._kind.minus(target, truth)
+            self.note("true_errors", now_s, self._kind.status_values(error_m))
         estimated = controller.errors(self._kind)
         unit_m = 1e-3 if self._kind.rigid else self._kind.unit[0]
         ways_m = np.array([way_m(estimated), way_m(self.true_errors(now_s))])
@@ -150,21 +153,12 @@ class Board:
         return None if any(part is None for part in parts) else np.concatenate(parts)
 
     def true_errors(self, now_s: float) -> dict[str, float]:
-        """Lengths of the true error, m and rad, by name; NaN without a simulator."""
-        truth, target = self.feature(now_s, "truth"), self.controller(now_s).target(self._kind)
-        known = truth is not None and target is not None
-        error_m = self._kind.minus(target, truth) if known else None  # type: ignore[arg-type]
-        return self._kind.status_values(error_m)
+        """Lengths of the true error at the last status, by name; NaN without a simulator."""
+        return self.newest("true_errors", now_s) or self._kind.status_values(None)
 
     def parameter(self, node: str, name: str) -> Any:
         """A node's parameter; None while it is not known."""
         return self.parameters.get(node, {}).get(name)
-
-    @property
-    def speed_limit_rad_s(self) -> float:
-        """The controller's limit of joint velocities; NaN while it is not known."""
-        value = self.parameter(topics.CONTROLLER, "max_joint_velocity_rad_s")
-        return value if isinstance(value, float) else nan
 
     def controller(self, now_s: float) -> Controller:
         """The controller's last status, unless it is old."""

@@ -25,7 +25,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 
 from fvs_controller_node.references import References
-from fvs_dashboard.board import REFERENCE, Action, Board, Controller
+from fvs_dashboard.board import OBJECT_PLACE, REFERENCE, Action, Board, Controller
 from fvs_dashboard.clicks import shifted
 from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
 from fvs_dashboard.picture import PANEL_PX, VIEW_PX, Picture
@@ -42,13 +42,7 @@ _CAMERA_ROTATION = f"{topics.SIM}/camera_rotation_deg"
 _ASKED = {
     topics.CONTROLLER: ("law", "max_joint_velocity_rad_s", "reference", "references_path"),
     topics.ESTIMATOR: ("method",),
-    topics.SIM: (
-        "depth_noise",
-        "latency_s",
-        "object_tag_id",
-        "object_position_m",
-        "object_rotation_deg",
-    ),
+    topics.SIM: ("depth_noise", "latency_s", "object_tag_id", *OBJECT_PLACE),
 }
 #: With these a person takes over from the tour.
 _TAKES_OVER = ("target", "stop", "reset", "set_current_as_target", "go")
@@ -84,7 +78,12 @@ class DashboardNode(ros.FvsNode):
         self._tour_due_s = -inf
         self._rng = np.random.default_rng()
         self._subscribe()
-        self._page = _make_page(self._config, v["joint_names"], self._put)
+        try:
+            from fvs_dashboard.page import Page
+        except ImportError as error:
+            words = f"the page needs {error.name}: pip install '{VISER}'"
+            raise ValueError(f"{words} (extra dashboard of fvs_ros)") from error
+        self._page = Page(self._config, v["joint_names"], self._put)
         self.create_timer(0.1, self._show, clock=self.steady_clock)
         self.create_timer(1.0, self._look_around, clock=self.steady_clock)
         print(f"page: {self._page.address}", flush=True)
@@ -100,14 +99,16 @@ class DashboardNode(ros.FvsNode):
             self.create_publisher(ros.message_class(each.type), each.name, ros.QOS_EVENT)
             for each in (part.topics.target for part in kind.parts)
         ]
-        name = topics.JOINT_STATES.name
-        self._sampled = [ros.Sampled(self, JointState, name, self._on_joint_states)]
+        self._truths: list[ros.Sampled] = []
+        self._joint_states = ros.Sampled(
+            self, JointState, topics.JOINT_STATES.name, self._on_joint_states
+        )
         for camera, part in enumerate(kind.parts):
             on_feature = partial(self._on_feature, part.feature, "feature", camera)
             self.subscribe(part.feature, on_feature)
             truth, on_truth = part.truth, partial(self._on_feature, part.truth, "truth", camera)
             message = ros.message_class(truth.type)
-            self._sampled.append(ros.Sampled(self, message, truth.name, on_truth))
+            self._truths.append(ros.Sampled(self, message, truth.name, on_truth))
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
         self.subscribe(topics.DETECTOR_STATUS, self._on_detector)
         if not kind.rigid:
@@ -139,6 +140,8 @@ class DashboardNode(ros.FvsNode):
         self._board.note(name, self.steady_s(), z, camera)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
+        for truth in self._truths:  # of the same moment
+            truth.look()
         controller = Controller(ros.from_status(message), message.message)
         self._board.add_status(self.steady_s(), controller)
 
@@ -190,7 +193,7 @@ class DashboardNode(ros.FvsNode):
 
     def _show(self) -> None:
         self._calls.repeat_stop()
-        for topic in (*self._sampled, *self._cameras):
+        for topic in (self._joint_states, *self._cameras):
             topic.look()
         now_s = self.steady_s()
         self._send_tour(now_s)
@@ -342,19 +345,6 @@ class DashboardNode(ros.FvsNode):
     def finish(self) -> None:
         """Stop serving."""
         self._page.close()
-
-
-def _make_page(
-    config: DashboardConfig, joint_names: Sequence[str], act: Callable[[Action], None]
-) -> Any:
-    """Serve the page; a ``ValueError`` explains why it cannot be served."""
-    try:
-        from fvs_dashboard.page import Page
-    except ImportError as error:
-        raise ValueError(
-            f"the page needs {error.name}: pip install '{VISER}' (extra dashboard of fvs_ros)"
-        ) from error
-    return Page(config, joint_names, act)
 
 
 def main() -> int:

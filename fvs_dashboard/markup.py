@@ -78,8 +78,8 @@ def banner_html(board: Board, kind: Kind, now_s: float) -> str:
     text = "".join(
         f'<div id="fvs-{name}">{escape(in_words(words))}</div>' for name, words in lines.items()
     )
-    known = "" if true == "–" else f"estimated; true {true}"
     error = distance(kind, controller.errors(kind))
+    known = "estimated" * (error != "–") + f"; true {true}" * (true != "–")
     return (
         f'<div class="fvs-over{" fvs-alone" * (not kind.rigid)}">'
         f'<div id="fvs-banner" data-state="{escape(controller.state)}"><div class="fvs-head">'

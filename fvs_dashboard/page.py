@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
-from math import inf, isfinite, nan
+from math import inf, nan
 from typing import Any
 
 import numpy as np
@@ -186,9 +186,9 @@ class Panel:
             self._picture = gui.add_image(
                 picture.blank(picture.PANEL_PX), format="jpeg", jpeg_quality=75
             )
-            self._words = gui.add_html("")
         else:
             signs.append(("○", picture.MEASURED_RGB, "as measured"))
+        self._words = gui.add_html("")
         gui.add_html(markup.legend_html(signs))
         tour = config.tour or bool(config.model_path)
         if self._kind.rigid:
@@ -244,7 +244,6 @@ class Panel:
             hint = "Sets the target, or what the detector follows: any patch, as it looks now."
             words = "sets the target", "track this"
             self._click = gui.add_dropdown("A click", words, hint=hint)
-            self._words = gui.add_html("")
             fields = [
                 gui.add_vector2(f"{name} u, v (px)".strip(), (0.0, 0.0), step=0.1)
                 for name in self._kind.cameras
@@ -469,13 +468,13 @@ class Charts:
     def update(self, board: Board, now_s: float) -> None:
         """Draw the newest curves."""
         self._nudge_s = 1e-6 - self._nudge_s
-        limit_rad_s = board.speed_limit_rad_s
-        if isfinite(limit_rad_s) and limit_rad_s != self._limit_rad_s:
+        limit_rad_s = board.parameter(topics.CONTROLLER, "max_joint_velocity_rad_s")
+        if isinstance(limit_rad_s, float) and limit_rad_s != self._limit_rad_s:
             self._limit_rad_s = limit_rad_s  # a new scale rebuilds the chart
             scale = {"range": (0.0, 1.2 * limit_rad_s)}
             self._speed.scales = {**self._speed.scales, "y": scale}
         self._draw(self._error, board.error.window(now_s)[:, : len(self._error.data)])
-        self._draw(self._speed, board.speed_rad_s.window(now_s), limit_rad_s)
+        self._draw(self._speed, board.speed_rad_s.window(now_s), self._limit_rad_s)
         self._draw(self._ratio, board.ratio.window(now_s), 1.0)
 
     def _draw(self, chart: viser.GuiUplotHandle, window: np.ndarray, *levels: float) -> None:

@@ -19,7 +19,7 @@ from trimesh.visual.texture import TextureVisuals
 from viser.extras import ViserUrdf
 from viser.transforms import SE3, SO3
 
-from fvs_dashboard.board import OBJECT_POSITION, OBJECT_ROTATION, Action, Board
+from fvs_dashboard.board import OBJECT_PLACE, Action, Board
 from fvs_dashboard.picture import TARGET_RGB
 from fvs_ros import topics
 from fvs_ros.kinds import Kind
@@ -65,6 +65,7 @@ class Scene:
         self._aims_camera = kind.on_arm and self._turns
         self._on_drag = on_drag
         self._held_s = {"target": -inf, "object": -inf}  # when a person last held it
+        self._joints_mrad = np.zeros(0)
         self._arm: Arm | None = None
         self._robot: ViserUrdf | None = None
         scene = server.scene
@@ -99,16 +100,9 @@ class Scene:
             colour = tuple(round(255 * _DIM * part) for part in each.rgba[:3])
             name = f"/robot/table/{i}"
             scene.add_box(name, colour, each.size_m, position=each.position_m)
-        self._grid = scene.add_grid(
-            "/robot/grid",
-            4.0,
-            4.0,
-            cell_size=0.1,
-            section_size=0.5,
-            shadow_opacity=0.0,
-            cell_color=(44, 48, 56),
-            section_color=(70, 76, 88),
-        )
+        look: dict[str, Any] = {"cell_color": (44, 48, 56), "section_color": (70, 76, 88)}
+        look |= {"cell_size": 0.1, "section_size": 0.5, "shadow_opacity": 0.0}
+        self._grid = scene.add_grid("/robot/grid", 4.0, 4.0, **look)
         self._floor_m = min(each.position_m[2] - 0.5 * each.size_m[2] for each in TABLE)
         nothing = np.zeros((1, 2, 3))
         self._rod = scene.add_line_segments("/robot/rod", nothing, _ROD, thickness=0.014)
@@ -155,9 +149,10 @@ class Scene:
         async def _(event: viser.TransformControlsEvent) -> None:
             self._held_s["object"] = time.monotonic()
             if event.phase != "start":
-                turned_deg = np.degrees(SO3(np.array(event.target.wxyz)).log())
-                self._on_drag(Action(OBJECT_POSITION, tuple(map(float, event.target.position))))
-                self._on_drag(Action(OBJECT_ROTATION, tuple(turned_deg.tolist())))
+                pose = _pose(event.target)
+                place = pose.translation(), np.degrees(pose.rotation().log())
+                for name, numbers in zip(OBJECT_PLACE, place, strict=True):
+                    self._on_drag(Action(f"{topics.SIM}/{name}", tuple(numbers.tolist())))
 
     def set_arm(self, arm: Arm) -> None:
         """Show another robot, or the first, and look at it from beside the simulator's camera."""
@@ -180,7 +175,8 @@ class Scene:
         if self._arm is not None and board.camera is not None:
             _put(self._camera, SE3.from_matrix(self._arm.in_root(*board.camera)))
             self._root.visible = True
-            self._show_rod(controller.position_m)
+            if joints is not None:
+                self._show_rod(joints, controller.position_m)
         self._table.visible = bool(board.parameters.get(topics.SIM))
         self._grid.position = (0.0, 0.0, self._floor_m * self._table.visible)
         predicted_m = controller.position_m
@@ -194,14 +190,21 @@ class Scene:
         if self._held_s["target"] < held_since_s:
             self._show_target(controller.target(self._kind))
 
-    def _show_rod(self, carried_m: np.ndarray | None) -> None:
-        """Draw what holds the ball, tag or camera: how is not known, but that it is held."""
+    def _show_rod(self, joints: np.ndarray, carried_m: np.ndarray | None) -> None:
+        """Draw what holds the ball, tag or camera: how is not known, but that it is held.
+
+        It is measured at rest: while the arm moves, joints and image are of different moments.
+        """
         assert self._arm is not None
-        camera = _pose(self._camera)
-        self._rod.visible = self._kind.on_arm or carried_m is not None
-        if self._rod.visible:
+        flange, camera = SE3.from_matrix(self._arm.flange), _pose(self._camera)
+        _put(self._rod, flange)
+        before_mrad, self._joints_mrad = self._joints_mrad, np.round(1e3 * joints)
+        still = np.array_equal(before_mrad, self._joints_mrad)
+        if still and (self._kind.on_arm or carried_m is not None):
             end_m = camera.translation() if self._kind.on_arm else camera @ carried_m
-            self._rod.points = np.array([[self._arm.flange_m, end_m]])
+            points_m = np.array([[np.zeros(3), flange.inverse() @ end_m]])
+            if np.abs(points_m - self._rod.points).max() > 0.002:
+                self._rod.points = points_m
 
     def _show_target(self, z: np.ndarray | None) -> None:
         pose = None if z is None else self._pose_of(z)
@@ -220,7 +223,8 @@ class Scene:
 
         To a camera on the arm it stays where it was seen last, or was dragged to.
         """
-        z, put = board.newest("object", now_s), board.parameter(*OBJECT_POSITION.split("/"))
+        z = board.newest("object", now_s)
+        put, turned_deg = (board.parameter(topics.SIM, name) for name in OBJECT_PLACE)
         on_arm, gizmo = self._kind.on_arm, self._object
         simulated = put is not None and (
             on_arm or board.parameter(topics.SIM, "object_tag_id") >= 0
@@ -231,7 +235,7 @@ class Scene:
             return
         turned, pose = SO3.identity(), None
         if simulated and not on_arm:
-            turned = SO3.exp(np.radians(board.parameter(*OBJECT_ROTATION.split("/"))))
+            turned = SO3.exp(np.radians(turned_deg))
             pose = SE3.from_rotation_and_translation(turned, np.array(put))
         if z is not None:
             pose = _pose(self._camera) @ self._pose_of(z)
@@ -291,9 +295,9 @@ class Arm:
             raise ValueError(f"robot_description has no joint {', '.join(unknown)}")
 
     @property
-    def flange_m(self) -> np.ndarray:
-        """Origin of the last joint's link in the model's root, m, (3,)."""
-        return self.urdf.get_transform(self.urdf.joint_map[self.names[-1]].child)[:3, 3]
+    def flange(self) -> np.ndarray:
+        """Pose of the last joint's link in the model's root, (4, 4), m."""
+        return self.urdf.get_transform(self.urdf.joint_map[self.names[-1]].child)
 
     def in_root(self, frame: str, pose: np.ndarray) -> np.ndarray:
         """A pose in a link's frame, (4, 4), m, in the model's root; of another frame, as it is."""

@@ -109,6 +109,13 @@ def test_a_camera_on_the_arm_is_dragged_to_where_it_shall_see_the_object():
         position_m, wxyz = np.split(np.array(actions[0].value), [3])
         np.testing.assert_allclose(position_m, [0.0, 0.0, 0.3], atol=1e-9)
         np.testing.assert_allclose(np.abs(wxyz), 0.5, atol=1e-9)  # as the object is in the room
+        client.set("x, y, z (m)", (0.1, 0.2, 0.3))
+        client.set("turned about x, y, z (°)", (0.0, 0.0, 90.0))
+        soon(lambda: page._panel._fields[1].value == (0.0, 0.0, 90.0))
+        actions.clear()
+        client.press("Go")
+        soon(lambda: actions)
+        np.testing.assert_allclose(actions[0].value, [0.1, 0.2, 0.3, 0.5**0.5, 0.0, 0.0, 0.5**0.5])
     finally:
         client.close()
         page.close()
