@@ -1,9 +1,10 @@
 """Detection of a ball of known colour and radius in a colour image and its depth.
 
 Every connected part of the image in the ball's colour is a candidate. :mod:`.sphere` fits a sphere
-of the known radius to it, the direction by its outline and the distance by its depth. A candidate
-must have the size, outline and bulge of the ball; the best one wins. A rejected candidate is
-searched again in layers of depth, because it may merge the ball with another object.
+of the known radius to it, the direction by its outline and the distance by its depth or, without
+depth images, by its size. A candidate must have the size, outline and bulge of the ball; the best
+one wins. A rejected candidate is searched again in layers of depth, because it may merge the ball
+with another object.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 
-from fvs_detector_node.config import BallColour
+from fvs_detector_node.config import BallColour, DetectorConfig
 from fvs_detector_node.detector import Detector, Sighting
 from fvs_detector_node.images import Region
-from fvs_detector_node.sphere import ACCEPT, Patch, SphereFit, fit_sphere, unit
+from fvs_detector_node.sphere import ACCEPT, Patch, SphereFit, fit_by_size, fit_sphere, unit
 from fvs_ros.camera import Intrinsics
 
 #: Below this saturation and value the hue of a pixel is only noise.
@@ -54,15 +55,19 @@ class BallDetection:
 class BallDetector(Detector):
     """Detects the ball."""
 
-    needs_depth = True
     measured = ("quality", "visible_fraction", "residual_m", "radius_px")
+
+    def __init__(self, config: DetectorConfig) -> None:
+        super().__init__(config)
+        self.needs_depth = config.use_depth
 
     def detect_in(
         self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray | None, camera: Intrinsics
     ) -> Sighting:
         """Detect the ball, or say which limits of its colour would show it."""
-        assert depth_m is not None
         colour = self._config.colour
+        if depth_m is None or not self.needs_depth:
+            depth_m = np.zeros(rgb.shape[:2], np.float32)  # unknown
         sighting = self._look(rgb, depth_m, camera, colour)
         if sighting.detection is not None:
             return sighting
@@ -90,7 +95,8 @@ class BallDetector(Detector):
         self, rgb: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, colour: BallColour
     ) -> Sighting:
         """The ball, or else why the largest object of its colour is not it."""
-        scene = _Scene(colour_mask(rgb, colour), depth_m, camera, self._config.ball_radius_m)
+        mask, radius_m = colour_mask(rgb, colour), self._config.ball_radius_m
+        scene = _Scene(rgb, mask, depth_m, camera, radius_m, not self.needs_depth)
         balls: list[BallDetection] = []
         miss: Sighting | None = None
         for blob in blobs(scene.mask):
@@ -100,8 +106,9 @@ class BallDetector(Detector):
                 miss = miss or result
             else:
                 balls.append(result)
-        if balls:
-            return Sighting(max(balls, key=lambda ball: ball.quality))
+        if balls:  # without depth, specks may be far balls: the largest one counts
+            best = balls[0] if scene.by_size else max(balls, key=lambda ball: ball.quality)
+            return Sighting(best)
         text = "nothing in view has the ball's colour: is it out of view, or hue wrong?"
         return miss or Sighting(None, text)
 
@@ -124,10 +131,12 @@ def colour_mask(rgb: np.ndarray, colour: BallColour) -> np.ndarray:
 class _Scene:
     """An image and what is looked for in it."""
 
+    rgb: np.ndarray
     mask: np.ndarray  # of the ball's colour, 0 or 255, (H, W)
     depth_m: np.ndarray
     camera: Intrinsics
     radius_m: float
+    by_size: bool  # whether a ball's size tells its distance
 
 
 @dataclass(frozen=True)
@@ -193,12 +202,40 @@ def _split_by_depth(blob: Blob, scene: _Scene) -> list[BallDetection]:
 
 def _evaluate(blob: Blob, scene: _Scene) -> BallDetection | Sighting:
     """Fit the ball to a blob, or say why it is none."""
+    box, radius_m = blob.box, scene.radius_m
+    if scene.by_size:
+        miss = Sighting(None, "the ball's colour is there, but not round: uncover the ball", box)
+        pad = 3 + abs(box.width - box.height)
+        patch = _cut_out(blob, scene, pad)
+        rgb = scene.rgb[box.grown(pad, scene.camera).part]
+        saturation = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV)[..., 1]
+        fit = fit_by_size(patch, saturation, radius_m)
+    else:
+        guess = _guess(blob, scene)
+        if isinstance(guess, Sighting):
+            return guess
+        distance_m, pad, miss = guess
+        patch = _cut_out(blob, scene, pad)
+        fit = fit_sphere(patch, distance_m, radius_m)
+    if fit is None or fit.on_outline < ACCEPT.on_outline:
+        return miss
+    ball = _measured(patch, fit, radius_m)
+    if ball.visible_fraction < ACCEPT.quality:
+        return Sighting(None, f"only {ball.visible_fraction:.0%} of the ball is visible", box)
+    return miss if ball.quality < ACCEPT.quality else ball
+
+
+def _guess(blob: Blob, scene: _Scene) -> tuple[float, int, Sighting] | Sighting:
+    """By depth, a ball's distance, m, the pixels about the blob, and what to say if it is none.
+
+    Only the latter for a blob of the wrong size.
+    """
     box_depth, known = blob.depths(scene.depth_m)
     box, camera, radius_m = blob.box, scene.camera, scene.radius_m
     if np.count_nonzero(known) < ACCEPT.pixels:
         text = "the ball's colour is there, but no depth: too near, too far or reflective?"
         return Sighting(None, text, box)
-    # First guess of the distance: half of a disc lies within 0.7 r of its middle.
+    # Half of a disc lies within 0.7 r of its middle.
     middle_px = np.array([box.u0 + 0.5 * (box.width - 1), box.v0 + 0.5 * (box.height - 1)])
     middle = unit(camera.rays(*middle_px))
     distance_m = float(np.median(box_depth[known]) / middle[2]) + 0.7 * radius_m
@@ -215,14 +252,7 @@ def _evaluate(blob: Blob, scene: _Scene) -> BallDetection | Sighting:
     if distance_m < nearest_m or not ACCEPT.least_area < share < ACCEPT.most_area:
         return miss
     pad = 3 + max(0, int(2.4 * np.sqrt(expected_px / np.pi)) - min(box.width, box.height))
-    patch = _cut_out(blob, scene, pad)
-    fit = fit_sphere(patch, distance_m, radius_m)
-    if fit is None or fit.on_outline < ACCEPT.on_outline:
-        return miss
-    ball = _measured(patch, fit, radius_m)
-    if ball.visible_fraction < ACCEPT.quality:
-        return Sighting(None, f"only {ball.visible_fraction:.0%} of the ball is visible", box)
-    return miss if ball.quality < ACCEPT.quality else ball
+    return distance_m, pad, miss
 
 
 def _cut_out(blob: Blob, scene: _Scene, pad: int) -> Patch:

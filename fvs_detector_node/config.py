@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from fvs_detector_node.tags import TagsConfig
 from fvs_ros.camera import CameraTopicsConfig
-from fvs_ros.params import ParameterError, Parameters, live_parameter
+from fvs_ros.params import ParameterError, Parameters, live_parameter, parameter
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,10 @@ class DetectorConfig(TagsConfig, CameraTopicsConfig):
         "radius of the ball; measure it: a wrong radius gives a wrong distance",
         0.005,
         0.5,
+    )
+    use_depth: bool = parameter(
+        True,
+        "whether depth images tell the ball's distance; false: its size in colour images does",
     )
     stamp_delay_s: float = live_parameter(
         0.0,

@@ -11,12 +11,9 @@ import numpy as np
 from fvs_detector_node.ball_detector import blobs, colour_mask
 from fvs_detector_node.detector import Detector, Sighting
 from fvs_detector_node.images import Region
-from fvs_detector_node.sphere import ACCEPT
+from fvs_detector_node.sphere import ACCEPT, fit_circle
 from fvs_detector_node.tag_pose import TagDetector
 from fvs_ros.camera import Intrinsics
-
-#: Rounds of the fit of a circle: after 10, a half hidden ball was off by a pixel.
-_ROUNDS = 30
 
 
 @dataclass(frozen=True)
@@ -51,36 +48,16 @@ class CentreDetector(Detector):
         """Detect the ball's centre in an image or a part of it."""
         coloured = blobs(colour_mask(rgb, self._config.colour))
         for blob in coloured:
-            circle = _circle(blob.outline, rgb.shape[1::-1])
-            if circle is not None:
-                middle, radius_px = circle
+            outline, last_px = blob.outline, np.array(rgb.shape[1::-1]) - 1
+            inside = outline[np.all((outline > 0) & (outline < last_px), axis=1)]
+            circle = fit_circle(inside, ACCEPT.circle_px)
+            # The image's edge must not cut off much.
+            if circle is not None and circle[2] * len(inside) >= ACCEPT.on_outline * len(outline):
+                middle, radius_px, _ = circle
                 return Sighting(PointsDetection(middle[None] - [camera.cx, camera.cy], radius_px))
         if coloured:
             return Sighting(None, "the ball's colour is not round: uncover it", coloured[0].box)
         return Sighting(None, "nothing in view has the ball's colour: is hue right?")
-
-
-def _circle(points: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, float] | None:
-    """Centre, px, and radius of the circle on which most points of an outline, (n, 2), lie.
-
-    Those at the edge of an image of this size do not count; None if too few are left.
-    """
-    least = ACCEPT.on_outline * len(points)
-    points = points[np.all((points > 0) & (points < np.array(size) - 1), axis=1)]
-    if len(points) < least:
-        return None
-    origin = points.mean(axis=0)
-    around = points - origin
-    columns = np.insert(around, 2, 1.0, axis=1)
-    square, weights = np.sum(around**2, axis=1), np.ones(len(points))
-    for _ in range(_ROUNDS):
-        solution = np.linalg.lstsq(columns * weights[:, None], square * weights, rcond=None)[0]
-        middle = 0.5 * solution[:2]
-        radius = float(np.sqrt(max(solution[2] + middle @ middle, 0.0)))
-        off = np.linalg.norm(around - middle, axis=1) - radius
-        weights = 1.0 / (1.0 + (off / ACCEPT.circle_px) ** 2)
-    near = np.abs(off) < max(ACCEPT.circle_px, ACCEPT.circle * radius)
-    return (origin + middle, radius) if np.count_nonzero(near) >= least else None
 
 
 class CornerDetector(TagDetector):

@@ -1,5 +1,8 @@
 """Fit of a sphere of known radius to a part of an image: direction by outline, distance by depth.
 
+Without depth, the outline's size tells the distance, too: a radius wrong by a share of itself, such
+as a tenth of a pixel of twenty, makes the distance wrong by that share.
+
 The outline of a sphere lies on a cone about the direction to its centre. The known radius and the
 distance fix the cone's opening. In the plane at unit distance, normal to a first guess of that
 direction, the outline is almost a circle of known radius. An arc suffices if the sphere is partly
@@ -44,6 +47,8 @@ class Acceptance:
 
 
 ACCEPT = Acceptance()
+#: Rounds of the fit of a circle: after 10, a half hidden ball was off by a pixel.
+_ROUNDS = 30
 
 
 @dataclass(frozen=True)
@@ -102,6 +107,23 @@ def fit_sphere(patch: Patch, distance_m: float, radius_m: float) -> SphereFit | 
     return SphereFit(direction, distance_m, on_outline, residual_m, pixel_rad)
 
 
+def fit_by_size(patch: Patch, saturation: np.ndarray, radius_m: float) -> SphereFit | None:
+    """Fit direction and distance of the centre to the outline alone; None without an arc of it."""
+    outline = _fine_outline(patch.inside, saturation, patch.view)
+    if not len(outline):
+        return None
+    direction = unit(outline.sum(axis=0))
+    pixel_rad = float(direction[2] / np.sqrt(patch.view.fx * patch.view.fy))
+    for _ in range(3):
+        points, axes = _across(outline, direction)
+        circle = fit_circle(points.T, ACCEPT.circle_px * pixel_rad)
+        if circle is None:
+            return None
+        centre, radius, on_outline = circle
+        direction = unit(direction + centre @ axes)
+    return SphereFit(direction, radius_m * np.hypot(1.0, 1.0 / radius), on_outline, 0.0, pixel_rad)
+
+
 def unit(vectors: np.ndarray) -> np.ndarray:
     """Vectors, shape (..., n), divided by their lengths."""
     return vectors / np.sqrt(np.sum(np.square(vectors), axis=-1, keepdims=True))
@@ -127,6 +149,28 @@ def _outline(patch: Patch) -> tuple[np.ndarray, np.ndarray]:
     return unit(patch.view.rays(u, v)), outside_m
 
 
+def _fine_outline(inside: np.ndarray, saturation: np.ndarray, view: Intrinsics) -> np.ndarray:
+    """Unit rays, (N, 3), through the outline, to parts of a pixel, by saturation, (h, w)."""
+    pixels = []
+    for axis in (0, 1):
+        first, second = (np.swapaxes(inside, 0, axis)[part] for part in np.s_[:-1, 1:])
+        at = np.argwhere(np.swapaxes(first != second, 0, axis))
+        inward = np.where(inside[tuple(at.T)], -1, 1)
+        outside = at[:, axis] + (inward < 0)
+        # Two pixels beyond are of the background or the ball; four in between are of both.
+        index: list[np.ndarray] = [at[:, [0]], at[:, [1]]]
+        index[axis] = outside[:, None] + inward[:, None] * np.arange(-2, 4)
+        index[axis] = np.clip(index[axis], 0, inside.shape[axis] - 1)
+        across = saturation[tuple(index)].astype(float)
+        low, high = across[:, :1], across[:, -1:]
+        shares = np.clip((across[:, 1:-1] - low) / np.maximum(high - low, 1.0), 0.0, 1.0)
+        edge = at.astype(float)
+        edge[:, axis] = outside + inward * (2.5 - shares.sum(axis=1))
+        pixels.append(edge)
+    v, u = np.concatenate(pixels).T
+    return unit(view.rays(u, v))
+
+
 def _fit_direction(
     rays: np.ndarray,
     direction: np.ndarray,
@@ -137,11 +181,7 @@ def _fit_direction(
     """Axis of the cone of known opening through an outline, and the outline's share on it."""
     if len(rays) < 6:
         return direction, 0.0
-    x, y, z = direction
-    axes = np.array([[z, 0.0, -x], [-x * y, x * x + z * z, -y * z]])
-    axes /= np.sqrt(x * x + z * z)
-    along_axes = np.vstack([axes, direction]) @ rays.T
-    points = along_axes[:2] / along_axes[2]
+    points, axes = _across(rays, direction)
     radius = radius_m / np.sqrt(distance_m**2 - radius_m**2)
     tolerance = max(ACCEPT.circle_px * pixel_rad, ACCEPT.circle * radius)
 
@@ -151,6 +191,40 @@ def _fit_direction(
         centre = _refine_circle(points, radius, centre, cut)
     errors = np.abs(np.hypot(*(points - centre[:, None])) - radius)
     return unit(direction + centre @ axes), float(np.mean(errors < tolerance))
+
+
+def _across(rays: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays cut the plane at unit distance, (2, N), and the axes of that plane, (2, 3)."""
+    x, y, z = direction
+    axes = np.array([[z, 0.0, -x], [-x * y, x * x + z * z, -y * z]])
+    axes /= np.sqrt(x * x + z * z)
+    along_axes = np.vstack([axes, direction]) @ rays.T
+    return along_axes[:2] / along_axes[2], axes
+
+
+def fit_circle(points: np.ndarray, near: float) -> tuple[np.ndarray, float, float] | None:
+    """Centre and radius of the circle on which most points, (n, 2), lie, and their share on it.
+
+    ``near`` is the distance from a circle that counts half. None if too few are on it.
+    """
+    if len(points) < 6:
+        return None
+    origin = points.mean(axis=0)
+    around = points - origin
+    columns = np.insert(around, 2, 1.0, axis=1)
+    square, weights = np.sum(around**2, axis=1), np.ones(len(points))
+    radius = 0.0
+    for _ in range(_ROUNDS):
+        before = radius
+        solution = np.linalg.lstsq(columns * weights[:, None], square * weights, rcond=None)[0]
+        middle = 0.5 * solution[:2]
+        radius = float(np.sqrt(max(solution[2] + middle @ middle, 0.0)))
+        off = np.linalg.norm(around - middle, axis=1) - radius
+        weights = 1.0 / (1.0 + (off / near) ** 2)
+        if abs(radius - before) < 1e-3 * near:
+            break
+    share = float(np.mean(np.abs(off) < max(near, ACCEPT.circle * radius)))
+    return (origin + middle, radius, share) if share >= ACCEPT.on_outline else None
 
 
 def _refine_circle(points: np.ndarray, radius: float, start: np.ndarray, cut: float) -> np.ndarray:

@@ -11,7 +11,7 @@ from drawn_balls import RADIUS_M, VGA, draw, hide, red
 from fvs_detector_node.ball_detector import BallDetector
 from fvs_detector_node.config import BallColour, DetectorConfig
 from fvs_detector_node.images import Region
-from fvs_ros.camera import CameraModel
+from fvs_ros.camera import CameraModel, Intrinsics
 
 CENTRE = np.array([0.1, -0.05, 1.0])
 
@@ -44,6 +44,46 @@ def test_an_ideal_ball_is_exact_anywhere_in_the_image():
         assert detection.quality > 0.9
         assert detection.residual_m < 0.001
         assert detection.radius_px == pytest.approx(VGA.fx * RADIUS_M / z, rel=0.15)
+
+
+def without_depth(rgb, camera=VGA):
+    config = DetectorConfig(ball_radius_m=RADIUS_M, use_depth=False)
+    return BallDetector(config).detect(0.0, rgb, None, CameraModel(camera))
+
+
+def test_without_depth_a_balls_size_tells_its_distance():
+    rng, fine = np.random.default_rng(0), 4
+    for z in (0.6, 1.0, 1.4):
+        size = Intrinsics(320, 240, 615.0, 615.0, rng.uniform(40, 280), rng.uniform(40, 200))
+        middle = size.rays(rng.uniform(90, 230), rng.uniform(80, 160))
+        sharp = Intrinsics(
+            fine * size.width,
+            fine * size.height,
+            fine * size.fx,
+            fine * size.fy,
+            fine * (size.cx + 0.5) - 0.5,
+            fine * (size.cy + 0.5) - 0.5,
+        )
+        drawn = cv2.resize(
+            draw([(z * middle, RADIUS_M)], camera=sharp)[0],
+            (size.width, size.height),
+            interpolation=cv2.INTER_AREA,
+        )
+        error = without_depth(drawn, size).detection.position_m - z * middle
+        along = error @ middle / np.linalg.norm(middle)
+        # A tenth of a pixel of the radius.
+        assert abs(along) < 0.1 * z / (size.fx * RADIUS_M / z)
+        assert np.linalg.norm(error - along * middle / np.linalg.norm(middle)) < 3e-4
+
+
+def test_without_depth_a_ball_that_is_partly_hidden_is_no_further_and_a_box_is_none():
+    rgb, depth = draw([(CENTRE, RADIUS_M)])
+    columns = np.nonzero(red(rgb))[1]
+    hide(rgb, depth, np.s_[:, int(np.quantile(columns, 0.75)) :])
+    assert error_mm(without_depth(rgb).detection, CENTRE) < 5.0
+    rgb[200:280, 300:400] = (200, 20, 20)
+    rgb[red(rgb) & (np.indices(rgb.shape[:2])[0] < 200)] = 150
+    assert "not round" in without_depth(rgb).problem
 
 
 @each("shown", [0.75, 0.5, 0.35, 0.23, 0.1])
