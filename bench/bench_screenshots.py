@@ -62,9 +62,7 @@ def window(width: int, height: int) -> Iterator[Any]:
 
 def shoot(path: Path, width: int, height: int, parameters: tuple[str, ...]) -> None:
     """Start the scenario, wait until there is something to see, and write the picture."""
-    # In lock step, so that a busy computer does not hold the arm.
-    parameters = "port:=0", "simulated_time:=true", *parameters
-    settings = [word for each in parameters for word in ("-p", each)]
+    settings = [word for each in ("port:=0", *parameters) for word in ("-p", each)]
     command = [sys.executable, "-m", "fvs_tools.launcher", "dashboard", *settings]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
