@@ -13,8 +13,8 @@ from fvs_sim_node.robot import NEEDS_PYBULLET
 
 
 @contextmanager
-def without_banner() -> Iterator[None]:
-    """Drop what PyBullet's C code prints: when it was built, and arguments that it has none of."""
+def without_chatter() -> Iterator[None]:
+    """Drop what PyBullet's C code prints, such as when it was built."""
     flush, nowhere = ctypes.CDLL(None).fflush, os.open(os.devnull, os.O_WRONLY)
     kept = {fd: os.dup(fd) for fd in (1, 2) if os.path.exists(f"/proc/self/fd/{fd}")}
     flush(None)
@@ -31,13 +31,13 @@ def without_banner() -> Iterator[None]:
 
 
 try:
-    with without_banner():
+    with without_chatter():
         import pybullet
         from pybullet_utils.bullet_client import BulletClient
 except ImportError as error:
     raise ImportError(f"{NEEDS_PYBULLET} ({error})") from None
 
-__all__ = ["BulletClient", "box", "pybullet", "sphere", "without_banner"]
+__all__ = ["BulletClient", "box", "pybullet", "sphere", "without_chatter"]
 
 
 def box(

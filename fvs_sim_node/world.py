@@ -29,7 +29,7 @@ from fvs_sim_node.carried import CARRIED, Carried, CarriedTag, exposed
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.placement import Placement
 from fvs_sim_node.robot import moving_joints, robot_description, robot_of
-from fvs_sim_node.shapes import BulletClient, box, pybullet, sphere, without_banner
+from fvs_sim_node.shapes import BulletClient, box, pybullet, sphere, without_chatter
 
 #: Depth range that is drawn, m; for a camera on the arm, from nearer on. What lies beyond has no
 #: depth, as with a real camera.
@@ -56,7 +56,7 @@ class World:
         if config.gui and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             # PyBullet would end the whole process without a message.
             raise ValueError("gui needs a display, and DISPLAY is not set; run with gui false")
-        with without_banner():
+        with without_chatter():
             self.client = BulletClient(pybullet.GUI if config.gui else pybullet.DIRECT)
         if not self.client.isConnected():
             raise RuntimeError("PyBullet could not open its window; run with gui set to false")
@@ -126,9 +126,10 @@ class World:
             file.write(text)
             file.flush()
             try:
-                return self.client.loadURDF(
-                    file.name, useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE
-                )
+                with without_chatter():  # of links without inertia, which move all the same
+                    return self.client.loadURDF(
+                        file.name, useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE
+                    )
             except pybullet.error as error:
                 raise ValueError(
                     f"urdf_path: PyBullet cannot load {self._known.file()} ({error})"
