@@ -21,6 +21,7 @@ from fvs_ros import topics
 from fvs_ros.arguments import Parser
 from fvs_ros.joints import JointMap
 from fvs_ros.kinds import KINDS, Kind
+from fvs_ros.paths import output_file
 from fvs_ros.status import vector
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_tools.bag_reader import BagError, open_bag
@@ -149,8 +150,9 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("--namespace", default="", help="namespace of the nodes")
     arguments = parser.parse_args(argv)
-    figure = (arguments.out or Path("out/replay") / arguments.bag.resolve().name) / "replay.png"
+    folder = arguments.out or Path("out/replay") / arguments.bag.resolve().name
     try:
+        figure = output_file(folder / "replay.png")
         records, joint_names, cut_off = read(arguments.bag, arguments.namespace)
         draw(figure, records, joint_names)
     except (ValueError, OSError) as error:
