@@ -32,8 +32,8 @@ EXTRAS = {
         *ROS,
         *CAMERA,
         *FIGURES,
-        # From Python 3.12 on it has no wheels; a fork has, equal to the bit, but 2.5 times slower in
-        # drawing whole images.
+        # From Python 3.12 on it has no wheels; a fork has, equal to the bit, but 2.5 times slower
+        # in drawing whole images.
         "pybullet>=3.2.6,<4; python_version < '3.12'",
         "pybullet-arm64>=3.2.8,<4; python_version >= '3.12'",
     ],
