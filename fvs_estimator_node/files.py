@@ -285,37 +285,16 @@ def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
     _write(path, "fvs_rbf_model", fields)
 
 
-def load_data_set(
-    path: str | os.PathLike[str],
-    joint_names: Sequence[str] | None = None,
-    expected: KindConfig | None = None,
-) -> DataSet:
-    """Read and check a data set.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    joint_names : sequence of str, optional
-        The joint order it must have; None takes any.
-    expected : KindConfig, optional
-        The kind of feature it must be of, and its frame; None takes any.
-
-    Raises
-    ------
-    FileError
-        If anything is not as expected; the text names the file, the fault and what was expected.
-    """
-    with _content(path, "fvs_dataset", joint_names) as content:
-        data = DataSet(
+def load_data_set(path: str | os.PathLike[str]) -> DataSet:
+    """Read and check a data set; a :class:`FileError` says what is not as expected."""
+    with _content(path, "fvs_dataset") as content:
+        return DataSet(
             **{name: content[name] for name in _DATA_SET},
             **content.common,
             camera=content.get("camera", 0),
             provenance=content.json("provenance"),
             still="still" in content and bool(content["still"].any()),
         )
-        data.check(expected)
-        return data
 
 
 def load_model(
@@ -323,9 +302,10 @@ def load_model(
     joint_names: Sequence[str] | None = None,
     expected: KindConfig | None = None,
 ) -> TrainedModel:
-    """Read and check a model; parameters and errors are those of :func:`load_data_set`.
+    """Read and check a model; a :class:`FileError` says what is not as expected.
 
-    Of a model of several cameras those that are expected are taken.
+    Joint order, kind of feature and frame may be expected; None takes any. Of a model of several
+    cameras those that are expected are taken.
     """
     with _content(path, "fvs_rbf_model", joint_names) as content:
         trained = TrainedModel(
@@ -364,9 +344,7 @@ def _write(path: str | os.PathLike[str], kind: str, fields: Mapping[str, Any]) -
 
 @contextmanager
 def _content(
-    path: str | os.PathLike[str],
-    kind: str,
-    joint_names: Sequence[str] | None,
+    path: str | os.PathLike[str], kind: str, joint_names: Sequence[str] | None = None
 ) -> Iterator[_Content]:
     """A file's content, its format and joints checked; what goes wrong is a FileError."""
     try:

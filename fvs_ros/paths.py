@@ -33,17 +33,17 @@ def share_folder() -> Path:
     return next((path for path in (source, *installed) if (path / "package.xml").is_file()), source)
 
 
-def find_file(name: str, folder: str = "config") -> Path:
+def find_file(name: str) -> Path:
     """An existing file given by path, or by name within the project's own folder.
 
-    A relative path that is not found from the working directory is looked up in ``folder`` of
+    A relative path that is not found from the working directory is looked up in ``config`` of
     :func:`share_folder`. The ``FileNotFoundError`` lists where it was looked for.
     """
     try:
         path = Path(name).expanduser()
     except RuntimeError:
         raise FileNotFoundError(f"no file {name}: there is no such user") from None
-    candidates = dict.fromkeys((path, share_folder() / folder / path))
+    candidates = dict.fromkeys((path, share_folder() / "config" / path))
     for candidate in candidates:
         if candidate.is_file():
             return candidate
