@@ -207,9 +207,7 @@ def _evaluate(blob: Blob, scene: _Scene) -> BallDetection | Sighting:
         miss = Sighting(None, "the ball's colour is there, but not round: uncover the ball", box)
         pad = 3 + abs(box.width - box.height)
         patch = _cut_out(blob, scene, pad)
-        rgb = scene.rgb[box.grown(pad, scene.camera).part]
-        saturation = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV)[..., 1]
-        fit = fit_by_size(patch, saturation, radius_m)
+        fit = fit_by_size(patch, scene.rgb[box.grown(pad, scene.camera).part], radius_m)
     else:
         guess = _guess(blob, scene)
         if isinstance(guess, Sighting):

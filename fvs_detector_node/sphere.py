@@ -107,16 +107,17 @@ def fit_sphere(patch: Patch, distance_m: float, radius_m: float) -> SphereFit | 
     return SphereFit(direction, distance_m, on_outline, residual_m, pixel_rad)
 
 
-def fit_by_size(patch: Patch, saturation: np.ndarray, radius_m: float) -> SphereFit | None:
+def fit_by_size(patch: Patch, rgb: np.ndarray, radius_m: float) -> SphereFit | None:
     """Fit direction and distance of the centre to the outline alone; None without an arc of it."""
-    outline = _fine_outline(patch.inside, saturation, patch.view)
+    outline = _fine_outline(patch.inside, rgb, patch.view)
     if not len(outline):
         return None
     direction = unit(outline.sum(axis=0))
     pixel_rad = float(direction[2] / np.sqrt(patch.view.fx * patch.view.fy))
     for _ in range(3):
         points, axes = _across(outline, direction)
-        circle = fit_circle(points.T, ACCEPT.circle_px * pixel_rad)
+        # A fine outline: what hides a part of the ball stands out sooner.
+        circle = fit_circle(points.T, 0.5 * ACCEPT.circle_px * pixel_rad)
         if circle is None:
             return None
         centre, radius, on_outline = circle
@@ -149,8 +150,8 @@ def _outline(patch: Patch) -> tuple[np.ndarray, np.ndarray]:
     return unit(patch.view.rays(u, v)), outside_m
 
 
-def _fine_outline(inside: np.ndarray, saturation: np.ndarray, view: Intrinsics) -> np.ndarray:
-    """Unit rays, (N, 3), through the outline, to parts of a pixel, by saturation, (h, w)."""
+def _fine_outline(inside: np.ndarray, rgb: np.ndarray, view: Intrinsics) -> np.ndarray:
+    """Unit rays, (N, 3), through the outline, to parts of a pixel, by colours, (h, w, 3)."""
     pixels = []
     for axis in (0, 1):
         first, second = (np.swapaxes(inside, 0, axis)[part] for part in np.s_[:-1, 1:])
@@ -161,9 +162,12 @@ def _fine_outline(inside: np.ndarray, saturation: np.ndarray, view: Intrinsics) 
         index: list[np.ndarray] = [at[:, [0]], at[:, [1]]]
         index[axis] = outside[:, None] + inward[:, None] * np.arange(-2, 4)
         index[axis] = np.clip(index[axis], 0, inside.shape[axis] - 1)
-        across = saturation[tuple(index)].astype(float)
-        low, high = across[:, :1], across[:, -1:]
-        shares = np.clip((across[:, 1:-1] - low) / np.maximum(high - low, 1.0), 0.0, 1.0)
+        across = rgb[tuple(index)].astype(float)
+        across -= across[:, :1]
+        # The ball's part of a pixel is linear in its colour, not in its saturation.
+        ball = across[:, -1:]
+        shares = np.sum(across * ball, axis=2) / np.maximum(np.sum(ball**2, axis=2), 1.0)
+        shares = np.clip(shares[:, 1:-1], 0.0, 1.0)
         edge = at.astype(float)
         edge[:, axis] = outside + inward * (2.5 - shares.sum(axis=1))
         pixels.append(edge)

@@ -8,6 +8,7 @@ optical: x right, y down, z forward.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -50,9 +51,9 @@ class Intrinsics:
         """Of a camera of which nothing is known: its rays are the pixels themselves."""
         return cls(width, height, 1.0, 1.0, 0.0, 0.0)
 
-    def coarser(self, step: int) -> Intrinsics:
+    def coarser(self, step: float) -> Intrinsics:
         """Of the same image in pixels that are so many times as large."""
-        size = -(-self.width // step), -(-self.height // step)
+        size = ceil(self.width / step), ceil(self.height / step)
         cx, cy = (self.cx + 0.5) / step - 0.5, (self.cy + 0.5) / step - 0.5
         return Intrinsics(*size, self.fx / step, self.fy / step, cx, cy)
 

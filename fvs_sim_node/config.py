@@ -53,9 +53,7 @@ class SimConfig(TagsConfig, CommandInterface):
         6.3,
     )
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
-    use_depth: bool = parameter(
-        True, "whether the ball's distance comes from depth; or from its drawn size, 3 mm off rms"
-    )
+    use_depth: bool = parameter(True, "whether depth tells the ball's distance; or its drawn size")
     object_position_m: tuple[float, ...] = live_parameter(
         (0.45, -0.1, 0.05),
         "middle of the object, world frame; it jumps there; by default before a camera on the arm",

@@ -374,3 +374,20 @@ def test_the_objects_tags_are_what_a_camera_on_the_arm_sees(make):
     look = simulation.look()
     assert look.object_z is None
     assert np.linalg.norm(simulation.kind.minus(look.z, simulation.true_feature())) < 5e-3
+
+
+def test_without_depth_a_drawn_balls_size_tells_its_distance_to_a_thousandth(make):
+    simulation, errors_m, rng = make(use_depth=False), [], np.random.default_rng(0)
+    detector = make_detector(DetectorConfig(use_depth=False))
+    home_rad = simulation.joints_rad
+    for _ in range(15):
+        simulation.reset(home_rad + rng.uniform(-0.3, 0.3, 6))
+        seen = simulation.look()
+        if seen.visible_fraction > 0.97:
+            errors_m.append(np.linalg.norm(seen.z - seen.true_position_m))
+    simulation.full_frames = True
+    images, camera = simulation.look().frame, CameraModel(simulation.reported_intrinsics)
+    in_whole = detector.detect(0.0, *images, camera).detection.position_m
+    assert len(errors_m) > 8
+    assert np.sqrt(np.mean(np.square(errors_m))) < 0.001
+    assert np.linalg.norm(in_whole - simulation.true_feature()) < 0.002
