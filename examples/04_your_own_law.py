@@ -1,15 +1,20 @@
 """How do I try my own control law and estimator?
 
 Derive them from `ControlLaw` and `Estimator` and put them into the registries. A law only proposes:
-limits, checks and stops stay with the supervisor. Nodes, page and experiments know them, too, when
-your package names them in its `pyproject.toml`:
+limits, checks and stops stay with the supervisor. `command` gets a
+[`ControlInput`](../fvs_controller_node/base.py): error, Jacobian, joints, the last command, the
+time since, the chain. Nodes, page and experiments know law and estimator, too, when your package
+names them in its `pyproject.toml`:
 
     [project.entry-points."fvs_ros.laws"]
     mine = "my_package:MyLaw"
     [project.entry-points."fvs_ros.estimators"]
     mine = "my_package:MyEstimator"
 
-Then `fvs_launch demo --scheme mine+mine` and `fvs_experiments everyday --scheme mine+mine`.
+Then `pip install -e ../my_package` into `.venv`, and `fvs_launch demo --scheme mine+mine`. Of the
+experiments, `everyday`, `tags` and `robustness` take `--scheme`, such as
+`fvs_experiments everyday --scheme mine+mine`, which needs `pip install -e '.[lab]'`. Gains are not
+searched: your defaults count.
 """
 
 from dataclasses import dataclass

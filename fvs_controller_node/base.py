@@ -69,7 +69,8 @@ class ControlOutput(NamedTuple):
 class ControlLaw(ABC):
     """Turns an error and a Jacobian into joint velocities.
 
-    A new law is one file here and one line in :mod:`fvs_controller_node.config`. ``gains`` are its
+    A new law is one file here and one line in :mod:`fvs_controller_node.config`, or an entry point
+    ``fvs_ros.laws`` of another package (``examples/04_your_own_law.py``). ``gains`` are its
     parameters, a ``Gains``, ``inverse`` leads from feature velocity to joint velocities.
     """
 

@@ -1,4 +1,4 @@
-"""The snippets of docs/python.md and README.md do what they say."""
+"""The snippets of README.md do what they say."""
 
 import re
 from pathlib import Path
@@ -9,13 +9,8 @@ from cases import each
 import fvs_ros
 
 ROOT = Path(__file__).resolve().parents[2]
-SNIPPETS = [
-    snippet
-    for page in ("docs/python.md", "README.md")
-    for snippet in re.findall(
-        r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL
-    )
-]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
 @each("snippet", SNIPPETS)
