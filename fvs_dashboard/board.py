@@ -131,7 +131,7 @@ class Board:
         self.note("controller", now_s, controller)
         truth, target = self.feature(now_s, "truth"), controller.target(self._kind)
         if truth is not None and target is not None:
-            error_m = self._kind.minus(target, truth)
+            error_m = self._kind.error(truth, target)
             self.note("true_errors", now_s, self._kind.status_values(error_m))
         estimated = controller.errors(self._kind)
         unit_m = 1e-3 if self._kind.rigid else self._kind.unit[0]

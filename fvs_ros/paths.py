@@ -8,6 +8,7 @@ import tempfile
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+from warnings import warn
 
 PACKAGE = "fvs_ros"
 #: Where ROS is installed, if it is: programs that sourced none find its meshes, too.
@@ -93,9 +94,19 @@ def program(module: str, dies_with_parent: bool = False) -> list[str]:
 
 
 def registered(registry: str) -> dict[str, Any]:
-    """What installed packages add to a registry: their entry points ``fvs_ros.REGISTRY``."""
-    points = metadata.entry_points(group=f"{PACKAGE}.{registry}")
-    return {point.name: point.load() for point in points}
+    """What installed packages add to a registry: their entry points ``fvs_ros.REGISTRY``.
+
+    What cannot be imported is said and left out.
+    """
+    added = {}
+    for point in metadata.entry_points(group=f"{PACKAGE}.{registry}"):
+        try:
+            added[point.name] = point.load()
+        except Exception as error:  # whatever a package of others raises
+            warn(
+                f"{point.group}: {point.name} = {point.value} is left out: {error!r}", stacklevel=2
+            )
+    return added
 
 
 def version() -> str:

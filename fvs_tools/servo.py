@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
-from math import isfinite
+from math import inf, isfinite
 from typing import Any, TypeVar
 
 import numpy as np
@@ -70,7 +70,9 @@ class Servo:
         self._joint_map, self._pace = JointMap(self.joint_names), Pace(own["joint_state_rate_hz"])
         self._path = PositionPath() if own["command_interface"] == POSITION else None
         self._waiting: deque[Callable[[float], None]] = deque(maxlen=_MOST_WAITING)
-        self._now_s, self._new_target = 0.0, False
+        #: Time for ages: the joints' stamps and what commands without a newer one counted for.
+        self._now_s, self._ahead_s, self._stamp_s = 0.0, 0.0, -inf
+        self._newer, self._new_target = False, False
 
     @classmethod
     def load(
@@ -91,7 +93,12 @@ class Servo:
         estimator = create_estimator(
             chosen.method, chosen.estimator_values, lambda: trained, seen.kind
         )
-        return cls(estimator, own, read_joints(find_file(urdf).read_bytes()) if urdf else None)
+        if not urdf:
+            return cls(estimator, own)
+        joints = read_joints(find_file(urdf).read_bytes())
+        if missing := set(own["joint_names"]) - set(joints):
+            raise ValueError(f"{urdf} has no joint {min(missing)}, which the model moves")
+        return cls(estimator, own, joints)
 
     # ---- measurements -------------------------------------------------------------------------
 
@@ -105,14 +112,18 @@ class Servo:
         """Take the joints now, rad (m), (n,), None if they could not be read, and a measurement.
 
         The image of the ``measurement``, (m,), was exposed at ``exposed_s``, by default now. What
-        is not finite or of a wrong size, and a jump of a joint, stop the arm at once.
+        is not finite or of a wrong size, and a jump of a joint, stop the arm at once. Joints whose
+        stamp does not advance grow old.
         """
         if not isfinite(stamp_s):
             raise ValueError(f"stamp_s must be a finite time, s, got {stamp_s}")
         self.see(stamp_s if exposed_s is None else exposed_s, measurement)
-        self._now_s = stamp_s
+        if stamp_s > self._stamp_s:
+            self._ahead_s = max(self._ahead_s, self._now_s - stamp_s)
+            self._now_s, self._newer = stamp_s + self._ahead_s, True
+        self._stamp_s, now_s = stamp_s, self._now_s
         while self._waiting:
-            self._waiting.popleft()(stamp_s)
+            self._waiting.popleft()(now_s)
         if joints_rad is None:
             return
         try:
@@ -127,11 +138,11 @@ class Servo:
         estimation.add_joints(stamp_s, joints)
         problem, chain = estimation.problem, estimation.estimator.chain
         if not problem:
-            loop.add_jacobian(stamp_s, estimation.jacobian(joints))
+            loop.add_jacobian(now_s, estimation.jacobian(joints))
         if chain is not None:
-            loop.add_chain(stamp_s, chain)
-        loop.supervisor.inputs[JACOBIAN].set_source_status(stamp_s, problem)
-        loop.add_joints(stamp_s, stamp_s, joints)
+            loop.add_chain(now_s, chain)
+        loop.supervisor.inputs[JACOBIAN].set_source_status(now_s, problem)
+        loop.add_joints(now_s, stamp_s, joints)
 
     def see(self, exposed_s: float, measurement: ArrayLike | None, camera: int = 0) -> None:
         """Take what a camera measured, (m,), for the next ``observe``; from any thread.
@@ -139,13 +150,15 @@ class Servo:
         None where it saw nothing. A ball is x, y, z, m; points are u, v, px; of a tag's position
         and quaternion ``kind.parse`` makes the 12 numbers.
         """
+        if not 0 <= camera < len(self.kind.parts):
+            raise ValueError(f"camera {camera} is none of {self.kind.cameras}")
         if measurement is not None:
             self._waiting.append(partial(self._add_image, exposed_s, measurement, camera))
 
     def see_object(self, exposed_s: float, measurement: ArrayLike | None) -> None:
         """Take the same of the object that targets may be relative to."""
         if measurement is not None:
-            z = np.asarray(measurement, dtype=float)
+            z = self.kind.checked(np.asarray(measurement, dtype=float))
             self._waiting.append(lambda now_s: self.loop.add_object(now_s, exposed_s, z))
 
     def _add_image(
@@ -197,10 +210,15 @@ class Servo:
 
         Joint velocities, rad/s (m/s). With ``command_interface`` ``position`` positions, rad (m),
         or None while there is nothing to send: the arm holds its last position. ``dt_s`` is the
-        time until the next command, s; by default the usual period of the stamps.
+        time until the next command, s; by default the usual period of the stamps. Without a newer
+        stamp than before the last command, all measurements are older by so much.
         """
-        dt_s = self._pace.joint_state(self._now_s) if dt_s is None else dt_s
-        self._new_target = False
+        paced_s = self._pace.joint_state(self._stamp_s) if self._newer else self._pace.missing()
+        dt_s = paced_s if dt_s is None else dt_s
+        if not 0.0 <= dt_s < inf:
+            raise ValueError(f"dt_s must be a finite time from 0 on, s, got {dt_s}")
+        self._now_s += 0.0 if self._newer else dt_s
+        self._newer, self._new_target = False, False
         velocity = self.loop.tick(self._now_s, dt_s).velocity_rad_s
         if self.loop.sliding_variable is not None:
             self.estimation.add_sliding_variable(self._now_s, self.loop.sliding_variable)
@@ -227,8 +245,11 @@ class Servo:
     def jacobian(self, joints_rad: ArrayLike) -> np.ndarray:
         """Motion of the feature by the joints at joints, rad, (n,): m/rad, (d, n).
 
-        A ``ValueError`` says why there is no estimate yet.
+        A ``ValueError`` says why there is no estimate yet, or that these are no joints.
         """
         if self.estimation.problem:
             raise ValueError(self.estimation.problem)
-        return self.estimation.at(np.asarray(joints_rad, dtype=float))
+        joints = np.asarray(joints_rad, dtype=float)
+        if joints.shape != (len(self.joint_names),) or not np.isfinite(joints).all():
+            raise ValueError(f"expected {len(self.joint_names)} finite joints, got {joints}")
+        return self.estimation.at(joints)

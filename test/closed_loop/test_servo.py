@@ -92,6 +92,19 @@ def test_an_arm_whose_joints_fall_silent_ramps_to_rest_and_goes_on_with_them(mov
     assert moving.servo.settled
 
 
+@each("observes", [True, False])
+def test_a_driver_that_hangs_stops_the_arm(moving, observes):
+    stamp_s, joints_rad = moving.simulation.time_s, moving.simulation.joints_rad
+    for _ in range(40):
+        if observes:
+            moving.servo.observe(stamp_s, joints_rad)
+        command = moving.servo.command()
+    assert moving.servo.status.reason is Reason.STALE
+    assert not command.any()
+    moving.run(1.5)
+    assert moving.servo.settled
+
+
 def test_a_jacobian_asked_for_elsewhere_changes_no_command(moving):
     other = Arm()
     other.run(0.3)
@@ -132,6 +145,8 @@ def test_what_does_not_fit_is_refused():
         Servo.load(MODEL, feature="pose")
     with pytest.raises(ValueError, match=r"known are .*METHOD"):
         Servo.load(MODEL, "poe+nothing")
+    with pytest.raises(ValueError, match=r"so101\.urdf has no joint elbow_joint"):
+        Servo.load(MODEL, urdf="robots/so101.urdf")
     with pytest.raises(FileNotFoundError, match=r"nowhere\.npz"):
         Servo.load("nowhere.npz")
     servo = Servo.load(MODEL, "lkf+proportional")
@@ -145,6 +160,12 @@ def test_what_does_not_fit_is_refused():
             servo.set_target(target)
     with pytest.raises(ValueError, match="stamp_s must be a finite time"):
         servo.observe(np.nan, np.zeros(6))
+    with pytest.raises(ValueError, match="camera 1 is none of"):
+        servo.see(0.0, [0.0, 0.0, 1.0], camera=1)
+    with pytest.raises(ValueError, match="expected 6 finite joints"):
+        servo.jacobian([0.0])
+    with pytest.raises(ValueError, match="dt_s must be a finite time"):
+        servo.command(np.nan)
     with pytest.raises(ValueError, match="not started: no joint_states"):
         servo.start()
     assert not servo.command().any()
