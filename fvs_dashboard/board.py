@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import degrees, inf, isfinite, nan
 from typing import Any, NamedTuple
 
@@ -98,15 +98,15 @@ class Trace:
 
 
 class Board:
-    """The data of a loop with ``n_joints`` joints; times are on the steady clock, s."""
+    """The data of a loop; times are on the steady clock, s."""
 
-    def __init__(self, n_joints: int, kind: Kind | None = None) -> None:
+    def __init__(self, joint_names: Sequence[str], kind: Kind | None = None) -> None:
         self._kind = kind or Ball()
         self._newest: dict[tuple[str, int], tuple[float, Any]] = {}
         #: Curves: estimated and true distance to the target, mm or px, and angle, degrees; joint
         #: speeds, rad/s; one-step prediction error over that of predicting rest.
         self.error = Trace(3)
-        self.speed_rad_s = Trace(n_joints)
+        self.name_joints(joint_names)
         self.ratio = Trace(1)
         #: Frame and pose in it, (4, 4), m, of the camera; None while not known.
         self.camera: tuple[str, np.ndarray] | None = None
@@ -116,6 +116,10 @@ class Board:
         #: Taught references by name, or what is wrong with one; and with the file, in words.
         self.references: Mapping[str, Reference | str] = {}
         self.references_problem = ""
+
+    def name_joints(self, names: Sequence[str]) -> None:
+        """Begin with these joints, kinematic order."""
+        self.joint_names, self.speed_rad_s = names, Trace(len(names))
 
     def note(self, name: str, now_s: float, value: Any, camera: int = 0) -> None:
         """Store the newest value of a name, of one of the cameras."""

@@ -40,7 +40,12 @@ from fvs_ros.ros.services import Services
 _CAMERA_ROTATION = f"{topics.SIM}/camera_rotation_deg"
 #: Parameters that the page shows.
 _ASKED = {
-    topics.CONTROLLER: ("law", "max_joint_velocity_rad_s", "reference", "references_path"),
+    topics.CONTROLLER: (
+        "law",
+        "max_joint_velocity_rad_s",
+        *("reference", "references_path"),
+        *("joint_names", "tf_prefix"),
+    ),
     topics.ESTIMATOR: ("method",),
     topics.SIM: ("depth_noise", "latency_s", "object_tag_id", *OBJECT_PLACE),
 }
@@ -58,14 +63,14 @@ class DashboardNode(ros.FvsNode):
         v, self._config = self.values, DashboardConfig.from_values(self.values)
         self._kind = self._config.kind
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
-        self._board = Board(len(self._joint_map.names), self._kind)
+        self._board = Board(v["joint_names"], self._kind)
         cameras = self._kind.cameras
         width_px = PANEL_PX if self._kind.rigid else VIEW_PX
         self._pictures = [Picture(width_px) for _ in cameras]
         self._actions: SimpleQueue[Action] = SimpleQueue()
         # Actions trigger a callback: polling at 30 Hz took 3 % of a core.
         self._wake = self.create_guard_condition(self._act)
-        self._description = ""
+        self._description = self._undrawn = ""
         self._references_read: tuple[Path, int] | None = None  # file, and when written
         self._calls = Services(self, self._answer)
         self._cameras: list[ros.Sampled] = []  # while a browser shows the page
@@ -83,7 +88,7 @@ class DashboardNode(ros.FvsNode):
         except ImportError as error:
             words = f"the page needs {error.name}: pip install '{VISER}'"
             raise ValueError(f"{words} (extra dashboard of fvs_ros)") from error
-        self._page = Page(self._config, v["joint_names"], self._put)
+        self._page = Page(self._config, self._put)
         self.create_timer(0.1, self._show, clock=self.steady_clock)
         self.create_timer(1.0, self._look_around, clock=self.steady_clock)
         print(f"page: {self._page.address}", flush=True)
@@ -133,6 +138,8 @@ class DashboardNode(ros.FvsNode):
         except JointStateError:
             velocity = np.full_like(joints, nan)
         self._board.add_joints(self.steady_s(), joints, velocity)
+        if self._undrawn:
+            self._draw_arm()
 
     def _on_feature(self, topic: topics.Topic, name: str, camera: int, message: Any) -> None:
         kind, frame = self._kind.parts[camera], self._config.feature_frame
@@ -149,13 +156,16 @@ class DashboardNode(ros.FvsNode):
         self._board.note("detector", self.steady_s(), message.message)
 
     def _on_description(self, message: String) -> None:
+        if message.data != self._description:  # it repeats when its publisher is rediscovered
+            self._description = self._undrawn = message.data
+
+    def _draw_arm(self) -> None:
+        """Draw the arm, once its joints are known to be those of the joint states."""
         from fvs_dashboard.scene import Arm  # viser is installed, since the page is served
 
-        if message.data == self._description:
-            return  # a latched message repeats whenever its publisher is rediscovered
-        self._description = message.data
+        text, self._undrawn = self._undrawn, ""
         try:
-            arm = Arm(message.data, self._joint_map.names)
+            arm = Arm(text, self._joint_map.names)
         except ValueError as error:
             text = f"the arm cannot be drawn: {error}"
         else:
@@ -198,13 +208,15 @@ class DashboardNode(ros.FvsNode):
         now_s = self.steady_s()
         self._send_tour(now_s)
         watched = self._page.watched
-        if watched != bool(self._cameras):
-            self._look_at_images(watched)
+        # The first before a browser asks: a simulator takes seconds to begin to draw.
+        wanted = watched or not all(picture.size_px.any() for picture in self._pictures)
+        if wanted != bool(self._cameras):
+            self._look_at_images(wanted)
         if watched:
             self._page.update(self._board, self._pictures, now_s)
 
     def _look_at_images(self, wanted: bool) -> None:
-        """Subscribe while a browser shows them: the simulator draws images for subscribers only."""
+        """Subscribe while they are wanted: the simulator draws images for subscribers only."""
         while self._cameras:
             self._cameras.pop().close()
         if not wanted:
@@ -238,9 +250,19 @@ class DashboardNode(ros.FvsNode):
             )
         for node, parameters in _ASKED.items():
             self._calls.ask(node, parameters, partial(self._board.parameters.__setitem__, node))
+        self._take_joint_names()
         path = self._board.parameter(topics.CONTROLLER, "references_path")
         if isinstance(path, str):
             self._look_at_references(References(path, self._kind, self._joint_map.names))
+
+    def _take_joint_names(self) -> None:
+        """Show the joints that the controller servoes, whatever this node's parameters say."""
+        ask = partial(self._board.parameter, topics.CONTROLLER)
+        names, prefix = ask("joint_names"), ask("tf_prefix")
+        if prefix is None or JointMap(names, prefix).names == self._joint_map.names:
+            return
+        self._joint_map, self._undrawn = JointMap(names, prefix), self._description
+        self._board.name_joints(names)
 
     def _look_at_references(self, references: References) -> None:
         """Read them if their file changed, in a thread: a long file must not delay a stop."""

@@ -152,11 +152,14 @@ def inputs_html(board: Board, kind: Kind, now_s: float) -> str:
         details["Program"] += f", {percent:.0f} %"
     for label, key in (("Image latency", "image_latency_s"), ("Drive lag", "drive_lag_s")):
         details[label] = f"{1e3 * controller.number(key):.0f} ms"
-    details["Active limit"] = controller.values.get("active_limit") or "none"
     if controller.silent:
         details = {}
     arm = _UNKNOWN if board.camera is None else board.newest("arm", now_s)
-    wide = {"Detector": board.newest("detector", now_s), "Arm": arm if kind.rigid else ""}
+    wide = {
+        "Active limit": controller.values.get("active_limit") or "none" * bool(details),
+        "Detector": board.newest("detector", now_s),
+        "Arm": arm if kind.rigid else "",
+    }
     details |= {name: words for name, words in wide.items() if words}
     cells = (
         f'<div class="{"fvs-wide" if name in wide else ""}">'

@@ -45,9 +45,7 @@ class Page:
     sites would have access.
     """
 
-    def __init__(
-        self, config: DashboardConfig, joint_names: Sequence[str], act: Callable[[Action], None]
-    ) -> None:
+    def __init__(self, config: DashboardConfig, act: Callable[[Action], None]) -> None:
         self._host, self._act, self._kind = config.host, act, config.kind
         _check_free(config.host, config.port)
         with _quiet(), own_requests_only(config.host):
@@ -68,7 +66,7 @@ class Page:
         self._panel = Panel(gui, act, config)
         curves = gui.add_panel()
         with curves.add_tab("Curves", viser.Icon.CHART_LINE):
-            self._charts = Charts(gui, joint_names, self._kind)
+            self._charts = Charts(gui, self._kind)
             self._inputs = gui.add_html("")
             if self._kind.rigid:
                 gui.add_html(markup.legend_html(legend(self._kind)))
@@ -416,14 +414,11 @@ def _logarithmic(least: float, most: float) -> dict:
 class Charts:
     """Error, joint speeds and prediction error over the last seconds."""
 
-    def __init__(self, gui: viser.GuiApi, joint_names: Sequence[str], kind: Kind) -> None:
+    def __init__(self, gui: viser.GuiApi, kind: Kind) -> None:
         self._gui = gui
+        self._joint_names: Sequence[str] = ()
         self._limit_rad_s = nan
         self._nudge_s = 0.0
-        labels = (
-            name.removesuffix("_joint").removeprefix("shoulder_").replace("_", " ")
-            for name in joint_names
-        )
         unit, turns = "mm" if kind.rigid else "px", kind.rigid and kind.size > 3
         self._error = self._add(
             f"Distance to the target, {unit}" + ", and angle, °" * turns,
@@ -435,7 +430,6 @@ class Charts:
         self._speed = self._add(
             "Joint speeds and their limit, rad/s",
             {"range": (0.0, 1.2)},
-            *(_series(*both) for both in zip(labels, cycle(markup.COLOURS), strict=False)),
             _level("limit"),
         )
         self._ratio = self._add(
@@ -473,6 +467,14 @@ class Charts:
             self._limit_rad_s = limit_rad_s  # a new scale rebuilds the chart
             scale = {"range": (0.0, 1.2 * limit_rad_s)}
             self._speed.scales = {**self._speed.scales, "y": scale}
+        if board.joint_names != self._joint_names:
+            self._joint_names = board.joint_names
+            labels = (
+                name.removesuffix("_joint").removeprefix("shoulder_").replace("_", " ")
+                for name in board.joint_names
+            )
+            lines = (_series(*both) for both in zip(labels, cycle(markup.COLOURS), strict=False))
+            self._speed.series = (uplot.Series(label="s"), *lines, _level("limit"))
         self._draw(self._error, board.error.window(now_s)[:, : len(self._error.data)])
         self._draw(self._speed, board.speed_rad_s.window(now_s), self._limit_rad_s)
         self._draw(self._ratio, board.ratio.window(now_s), 1.0)

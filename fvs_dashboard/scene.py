@@ -82,9 +82,8 @@ class Scene:
         self._measured = scene.add_frame("/camera/measured", show_axes=False, visible=False)
         self._add_body("/camera/measured", ball_radius_m, _MEASURED)
         look = {"subdivisions": 2, "opacity": 0.3, "visible": False}
-        self._predicted = scene.add_icosphere(
-            "/camera/predicted", 1.25 * ball_radius_m, _PREDICTED, **look
-        )
+        radius_m = ball_radius_m * (0.4 if self._turns else 1.25)  # a tag is not hidden by it
+        self._predicted = scene.add_icosphere("/camera/predicted", radius_m, _PREDICTED, **look)
         self._add_object(ball_radius_m)
         self._add_target(ball_radius_m)
 
@@ -170,7 +169,7 @@ class Scene:
         joints = board.newest("joint_states", now_s)
         if self._robot is not None and self._arm is not None and joints is not None:
             angles_rad = map(float, joints)
-            self._robot.update_cfg(dict(zip(self._arm.names, angles_rad, strict=True)))
+            self._robot.update_cfg(dict(zip(self._arm.names, angles_rad, strict=False)))
         controller, z = board.controller(now_s), board.newest("feature", now_s)
         if self._arm is not None and board.camera is not None:
             _put(self._camera, SE3.from_matrix(self._arm.in_root(*board.camera)))

@@ -69,7 +69,7 @@ def loop(ros_module, ros_beside, pages):
     """A played robot, a controller that is stopped, and a page that a browser shows."""
     robot = PlayedRobot(ros_beside)
     controller = ros_module.keep(CONTROLLER, **PATIENT)
-    process = ros_module.keep(DASHBOARD, port=0)
+    process = ros_module.keep(DASHBOARD, port=0, joint_names=["not", "those"])
     page = pages(address_of(ros_beside, process))
     robot.meet_controller()
     ros_beside.spin_until(lambda: states(page) in ("WAITING", "READY"), 20.0, "all inputs")
@@ -121,6 +121,18 @@ def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
     assert not any(robot.commands[-1][1].data)
     wait_for_state(harness, page, "READY")
     np.testing.assert_allclose(ros.from_feature(targets[-1], Ball(), CAMERA_FRAME, ""), there)
+
+
+def test_the_joints_are_those_of_the_controller(loop):
+    harness, *_, page = loop
+    chart = next(e for e in page.elements.values() if "Joint speeds" in str(e.get("title")))
+
+    def labels():
+        return [each.get("label") for each in chart["series"]]
+
+    names = ["pan", "lift", "elbow", "wrist 1", "wrist 2", "wrist 3"]
+    harness.spin_until(lambda: labels() == ["s", *names, "limit"], what="the joints")
+    harness.spin_until(lambda: len(chart["data"]) == 8, what="their speeds")
 
 
 def test_a_controller_that_is_gone_shows_and_a_later_one_waits_for_a_target(ros_module, loop):
@@ -319,7 +331,10 @@ def test_what_is_clicked_on_in_both_pictures_is_tracked_by_the_detector(ros_test
 
     ros_test.node.create_timer(0.1, show)
     parameters = {"feature": "points", "cameras": list(cameras)}
-    page = pages(address_of(ros_test, ros_test.start_node(DASHBOARD, port=0, **parameters)))
+    address = address_of(ros_test, ros_test.start_node(DASHBOARD, port=0, **parameters))
+    # The page has its first pictures before a browser asks for them.
+    ros_test.spin_until(lambda: all(each.get_subscription_count() for each in images), 15.0)
+    page = pages(address)
     ros_test.start_node("fvs_detector_node.node", **parameters)
     seen = [ros_test.collect(PolygonStamped, f"{name}/image_points") for name in cameras]
     lost = "left: nothing in view has the ball&#x27;s colour"

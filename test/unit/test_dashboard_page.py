@@ -27,7 +27,7 @@ from fvs_sim_node.robot import ROBOTS, robot_description
 
 def served(port=0):
     values = config.DashboardConfig(port=port, model_path="any")
-    return Page(values, UR_JOINT_NAMES, lambda action: None)
+    return Page(values, lambda action: None)
 
 
 @pytest.fixture
@@ -84,14 +84,14 @@ def test_a_camera_on_the_arm_is_dragged_to_where_it_shall_see_the_object():
     # The camera is level at (2, 0, 0.4) and looks along -x, as long as its pose is not known.
     kind, actions = Pose(), []
     values = config.DashboardConfig(port=0, feature="pose", camera_mount="arm")
-    page = Page(values, UR_JOINT_NAMES, actions.append)
+    page = Page(values, actions.append)
     client = PageClient(page.address)
 
     def drawn(name, position_m):
         return np.allclose(client.positions.get(name, np.inf), position_m)
 
     try:
-        board, facing = Board(n_joints=6), np.diag([1.0, -1.0, -1.0])
+        board, facing = Board(UR_JOINT_NAMES), np.diag([1.0, -1.0, -1.0])
         seen = kind.of_body(np.array([0.1, 0.0, 0.5]), facing)
         for name in ("feature", "object"):
             board.note(name, 0.0, seen)
@@ -129,7 +129,7 @@ def test_a_click_in_a_picture_is_a_target_there_and_of_another_size_too():
     values = config.DashboardConfig(
         port=0, feature="points", points=Points(cameras=("left", "right"))
     )
-    page = Page(values, UR_JOINT_NAMES, actions.append)
+    page = Page(values, actions.append)
     client = PageClient(page.address)
     try:
         pictures = [Picture(), Picture()]
@@ -141,7 +141,7 @@ def test_a_click_in_a_picture_is_a_target_there_and_of_another_size_too():
         click(0, 0.0, 0.0)  # no picture, so it means nothing
         pictures[0].add_image(0.0, np.zeros((480, 640, 3), np.uint8))
         pictures[1].add_image(0.0, np.zeros((1080, 1920, 3), np.uint8))
-        page.update(Board(6, values.kind), pictures, 0.0)
+        page.update(Board(UR_JOINT_NAMES, values.kind), pictures, 0.0)
         soon(lambda: np.isclose(client.positions["/picture/1"][2], -0.79 - 0.5 * 0.5625))
         click(0, 0.25, 0.125)
         soon(lambda: "where it shall be in right" in page._panel.clicks.words)

@@ -14,6 +14,7 @@ from fvs_dashboard import markup, picture
 from fvs_dashboard.board import Action, Board, Controller
 from fvs_dashboard.clicks import Clicks, shifted
 from fvs_ros.camera import Intrinsics
+from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.points import Points
 from fvs_ros.kinds.pose import Pose
@@ -22,7 +23,7 @@ NAMES = Ball.topics.tool.name, Ball.topics.object.name
 
 
 def test_what_comes_from_outside_is_no_markup():
-    board, evil = Board(n_joints=6), "<b>x</b>"
+    board, evil = Board(UR_JOINT_NAMES), "<b>x</b>"
     board.note("detector", 0.0, evil)
     values = {**ServoLoop().status_values(0.0), "state": evil, "reason": ""}
     controller = Controller({name: str(value) for name, value in values.items()}, f"{evil}; {evil}")
@@ -41,7 +42,7 @@ def test_what_comes_from_outside_is_no_markup():
 
 
 def test_what_a_camera_on_the_arm_sees_is_one_input():
-    loop, board = ServoLoop(default_values(camera_mount="arm")), Board(6)
+    loop, board = ServoLoop(default_values(camera_mount="arm")), Board(UR_JOINT_NAMES)
     loop.supervisor.inputs.add(FEATURE, 0.0, np.ones(3))
     status = {key: str(value) for key, value in loop.status_values(0.5).items()}
     board.add_status(0.5, Controller({**status, "state": "READY"}, ""))
@@ -68,7 +69,7 @@ def test_references_are_listed_whatever_stands_in_their_file(tmp_path):
 
 def banner(kind, sentence="", target=(), truth=None, **values):
     """The banner that a controller's status gives."""
-    board = Board(6, kind)
+    board = Board(UR_JOINT_NAMES, kind)
     if truth is not None:
         board.note("truth", 0.0, truth)
     values |= {f"target_{name}": str(number) for name, number in target}
@@ -167,7 +168,7 @@ def test_a_target_of_the_first_point_takes_the_others_with_it():
 
 def test_what_is_said_of_image_points_is_in_pixels_and_of_each_camera():
     kind = Points(cameras=("left", "right"))
-    board = Board(6, kind)
+    board = Board(UR_JOINT_NAMES, kind)
     board.note("detector", 0.0, "right: it is lost")
     values = {"left/image_points_age_s": "0.02", "right/image_points_age_s": "0.03"}
     values |= {"target_left_u1": "1.5", "target_left_v1": "2.5", "error_m": "0.05"}
