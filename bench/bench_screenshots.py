@@ -18,11 +18,11 @@ from typing import Any
 #: By name of the file: size of the window, px, and parameters of the scenario ``dashboard``.
 VIEWS: dict[str, tuple[int, int, tuple[str, ...]]] = {
     "dashboard": (1280, 800, ()),
-    "dashboard_tag": (1280, 800, ("feature:=pose",)),
+    "dashboard_tag": (1280, 840, ("feature:=pose",)),
     "dashboard_webcams": (1280, 800, ("feature:=points",)),
-    "dashboard_hand": (1280, 800, ("camera_mount:=arm",)),
-    "dashboard_phone": (390, 844, ()),
 }
+#: In lock step, so that a busy computer does not hold the arm.
+SLOWLY = "port:=0", "simulated_time:=true", "use_sim_time:=true"
 #: Headless, drawing WebGL by software, and saying nothing to the world.
 FLAGS = (
     "--no-sandbox",
@@ -35,11 +35,12 @@ FLAGS = (
 )
 #: Drawn some times a second only: by software every picture takes a core for tens of milliseconds.
 SELDOM = "window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 500)"
-#: Whether the arm is on its way, as the curves have shown for a while, with a new picture.
-MOVING = """() => document.getElementById("fvs-banner").dataset.state == "SERVOING"
+#: Whether the arm is on its way, with a new picture.
+MOVING = """document.getElementById("fvs-banner").dataset.state == "SERVOING"
     && parseFloat(document.getElementById("fvs-error").innerText) > 20
     && !document.querySelector("#fvs-picture, #fvs-next").innerText"""
-CURVES_MS, PATIENCE_MS = 20_000, 120_000
+#: The curves are full after 20 s; the browser has drawn what it was told after some pictures.
+CURVES_MS, DRAWN_MS, PATIENCE_MS = 20_000, 1500, 180_000
 
 
 def browser() -> str | None:
@@ -62,10 +63,14 @@ def window(width: int, height: int) -> Iterator[Any]:
 
 def shoot(path: Path, width: int, height: int, parameters: tuple[str, ...]) -> None:
     """Start the scenario, wait until there is something to see, and write the picture."""
-    settings = [word for each in ("port:=0", *parameters) for word in ("-p", each)]
+    settings = [word for each in (*SLOWLY, *parameters) for word in ("-p", each)]
     command = [sys.executable, "-m", "fvs_tools.launcher", "dashboard", *settings]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
+
+        def to_nodes(name: str) -> None:
+            subprocess.run(["pkill", f"-{name}", "-P", str(process.pid)], check=False)
+
         try:
             found = (re.search(r"page: (\S+)$", line.rstrip()) for line in process.stdout)
             address = next(match[1] for match in found if match)
@@ -73,13 +78,19 @@ def shoot(path: Path, width: int, height: int, parameters: tuple[str, ...]) -> N
                 page.goto(address)
                 page.wait_for_selector("#fvs-banner", timeout=PATIENCE_MS)
                 page.locator(".mantine-Notification-closeButton").first.click()
-                page.wait_for_timeout(CURVES_MS)
-                page.wait_for_function(MOVING, timeout=PATIENCE_MS)
-                page.screenshot(path=path)
-                while not page.evaluate(MOVING):  # a busy computer may have held it meanwhile
+                while True:
+                    page.wait_for_timeout(CURVES_MS)
                     page.wait_for_function(MOVING, timeout=PATIENCE_MS)
-                    page.screenshot(path=path)
+                    # A screenshot takes seconds: meanwhile all nodes rest.
+                    to_nodes("STOP")
+                    page.wait_for_timeout(DRAWN_MS)
+                    if page.evaluate(MOVING):
+                        style = "#fvs-lost { display: none }"
+                        page.screenshot(path=path, style=style, timeout=PATIENCE_MS)
+                        break
+                    to_nodes("CONT")
         finally:
+            to_nodes("CONT")
             process.send_signal(signal.SIGINT)
     print(path)
 

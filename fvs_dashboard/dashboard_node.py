@@ -38,13 +38,15 @@ from fvs_ros.ros.images import from_color
 from fvs_ros.ros.services import Services
 
 _CAMERA_ROTATION = f"{topics.SIM}/camera_rotation_deg"
+_JOINTS = "joint_names", "tf_prefix"
 #: Parameters that the page shows.
 _ASKED = {
     topics.CONTROLLER: (
         "law",
         "max_joint_velocity_rad_s",
-        *("reference", "references_path"),
-        *("joint_names", "tf_prefix"),
+        "reference",
+        "references_path",
+        *_JOINTS,
     ),
     topics.ESTIMATOR: ("method",),
     topics.SIM: ("depth_noise", "latency_s", "object_tag_id", *OBJECT_PLACE),
@@ -250,19 +252,14 @@ class DashboardNode(ros.FvsNode):
             )
         for node, parameters in _ASKED.items():
             self._calls.ask(node, parameters, partial(self._board.parameters.__setitem__, node))
-        self._take_joint_names()
+        names, prefix = (self._board.parameter(topics.CONTROLLER, name) for name in _JOINTS)
+        joints = self._joint_map if prefix is None else JointMap(names, prefix)
+        if joints.names != self._joint_map.names:  # whatever this node's own parameters say
+            self._joint_map, self._undrawn = joints, self._description
+            self._board.name_joints(names)
         path = self._board.parameter(topics.CONTROLLER, "references_path")
         if isinstance(path, str):
             self._look_at_references(References(path, self._kind, self._joint_map.names))
-
-    def _take_joint_names(self) -> None:
-        """Show the joints that the controller servoes, whatever this node's parameters say."""
-        ask = partial(self._board.parameter, topics.CONTROLLER)
-        names, prefix = ask("joint_names"), ask("tf_prefix")
-        if prefix is None or JointMap(names, prefix).names == self._joint_map.names:
-            return
-        self._joint_map, self._undrawn = JointMap(names, prefix), self._description
-        self._board.name_joints(names)
 
     def _look_at_references(self, references: References) -> None:
         """Read them if their file changed, in a thread: a long file must not delay a stop."""

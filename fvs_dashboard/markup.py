@@ -155,11 +155,9 @@ def inputs_html(board: Board, kind: Kind, now_s: float) -> str:
     if controller.silent:
         details = {}
     arm = _UNKNOWN if board.camera is None else board.newest("arm", now_s)
-    wide = {
-        "Active limit": controller.values.get("active_limit") or "none" * bool(details),
-        "Detector": board.newest("detector", now_s),
-        "Arm": arm if kind.rigid else "",
-    }
+    limit = controller.values.get("active_limit") or "none" * bool(details)
+    wide = {"Active limit": limit, "Detector": board.newest("detector", now_s)}
+    wide |= {"Arm": arm} if kind.rigid else {}
     details |= {name: words for name, words in wide.items() if words}
     cells = (
         f'<div class="{"fvs-wide" if name in wide else ""}">'
