@@ -9,6 +9,7 @@ stop.listen()
 import argparse
 import contextlib
 import importlib.util
+import json
 import os
 import shlex
 import signal
@@ -17,7 +18,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from fvs_ros import console, topics
@@ -254,6 +255,14 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+#: Parameters that a model is made for, by whether the arm is simulated.
+_OF_MODEL = {
+    True: ("feature", "camera_mount", "cameras", "robot", "urdf_path"),
+    False: ("feature", "camera_mount", "cameras", "joint_names"),
+}
+_QUOTE = '"'
+
+
 def _check(scenario: Scenario, arguments: argparse.Namespace) -> None:
     """Refuse, before a node starts, what cannot run: without PyBullet, or with a wrong model.
 
@@ -266,18 +275,28 @@ def _check(scenario: Scenario, arguments: argparse.Namespace) -> None:
         if topics.ESTIMATOR in scenario:
             check_estimator(values)
     except ValueError as error:
-        usual = "collect_minute" if topics.SIM in scenario else "ur5_real_collect"
-        collect = f"{name}_collect" if f"{name}_collect" in scenario_names() else usual
+        collect = f"{name}_collect"
+        if collect not in scenario_names():
+            collect = "collect_minute" if topics.SIM in scenario else "ur5_real_collect"
         missing = isinstance(error.__cause__, FileNotFoundError)  # else the file stays
         model = shlex.quote(values["model_path"]) if missing else "out/model.npz"
         same = [each for each in arguments.param if "model_path:=" not in each]
-        words = {each: f" -p {shlex.quote(each)}" for each in same}
+        # What the scenario's file sets holds for the collector, too.
+        own = {**scenario.get(topics.SIM, {}), **values}
+        usual = load_scenario(collect)[topics.COLLECTOR]
+        keys = _OF_MODEL[topics.SIM in scenario]
+        fixed = {key: own[key] for key in keys if own.get(key, usual.get(key)) != usual.get(key)}
+        learn = [*(f"{key}:={json.dumps(fixed[key]).strip(_QUOTE)}" for key in fixed), *same]
         scheme = f" --scheme {arguments.scheme}" if arguments.scheme else ""
         raise ValueError(
             f"{error}. A minute of motion gives one that fits:\n  fvs_launch {collect} "
-            f"--train {model}{''.join(words[each] for each in same if _takes(collect, each))}\n"
-            f"  fvs_launch {name}{scheme}{''.join(words.values())} -p model_path:={model}"
+            f"--train {model}{_words(each for each in learn if _takes(collect, each))}\n"
+            f"  fvs_launch {name}{scheme}{_words(same)} -p model_path:={model}"
         ) from error
+
+
+def _words(overrides: Iterable[str]) -> str:
+    return "".join(f" -p {shlex.quote(each)}" for each in dict.fromkeys(overrides))
 
 
 def _takes(scenario: str, override: str) -> bool:
