@@ -2,8 +2,8 @@
 
 `ServoedRobot` wraps any robot with LeRobot's `Robot` interface and has it itself. Its action is no
 longer a goal of each joint, but where the camera shall see the ball; at each action it moves the
-joints one limited step and returns what it sent. A policy or a script then acts in the camera's
-frame. Joints are `NAME.pos` in degrees (`use_degrees=True`).
+joints one limited step, which `sent` holds. A policy or a script then acts in the camera's frame.
+Joints are `NAME.pos` in degrees (`use_degrees=True`).
 """
 
 import time
@@ -22,7 +22,7 @@ class ServoedRobot:
 
     def __init__(self, robot, servo, detect, clock=time.monotonic):
         self.robot, self.servo, self.detect, self.clock = robot, servo, detect, clock
-        self.keys = [f"{name}.pos" for name in servo.joint_names]
+        self.keys, self.sent = [f"{name}.pos" for name in servo.joint_names], {}
 
     def __getattr__(self, name):  # connect, disconnect, calibrate, configure, is_connected, ...
         return getattr(self.robot, name)
@@ -44,12 +44,13 @@ class ServoedRobot:
         return {**observed, **dict(zip(TARGET, np.full(3, np.nan) if ball_m is None else ball_m))}
 
     def send_action(self, action):
-        """Step towards the target; returns what was sent, empty while the arm is held."""
+        """Step towards the target, which is returned; nothing is sent while the arm is held."""
         self.servo.set_target([action[key] for key in TARGET])
         joints_rad = self.servo.command()
-        if joints_rad is None:
-            return {}
-        return self.robot.send_action(dict(zip(self.keys, np.degrees(joints_rad).tolist())))
+        if joints_rad is not None:
+            goal = dict(zip(self.keys, np.degrees(joints_rad).tolist()))
+            self.sent = self.robot.send_action(goal)
+        return action
 
 
 class FakeRobot:
@@ -108,10 +109,9 @@ robot.connect()
 for _ in range(15):
     action = {key: observed for key, observed in robot.get_observation().items() if key in TARGET}
 action["target.y"] += 0.1
-sent: dict[str, float] = {}
 while not servo.settled:
     robot.get_observation()
-    sent = robot.send_action(action) or sent
+    robot.send_action(action)
 print(servo.status.text)
-print("last action sent:", {key: round(value, 1) for key, value in sent.items()})
+print("last action sent:", {key: round(value, 1) for key, value in robot.sent.items()})
 robot.disconnect()
