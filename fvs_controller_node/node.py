@@ -37,6 +37,8 @@ _NO_RANGES = (
 _LATE = (Reason.STALE, Reason.RETURNING)
 #: A latched target reaches both subscriptions within this time, s.
 _TARGET_ECHO_S = 0.5
+#: What keeps it waiting for less is not logged, s.
+_PASSING_S = 2.0
 _LEVELS = {
     State.SERVOING: ros.OK,
     State.READY: ros.OK,
@@ -70,6 +72,7 @@ class ControllerNode(ros.FvsNode):
         self._hears_others = False
         self._sent: deque[tuple[float, ...]] = deque(maxlen=64)  # own commands
         self._command: Command | None = None
+        self._since_s = -np.inf  # when the present reason began
         self._logged: Reason | None = None
         self._logged_s: dict[Reason, float] = {}
 
@@ -239,6 +242,7 @@ class ControllerNode(ros.FvsNode):
             self._sliding.publish(ros.to_sliding(self._stamp_s, self._frame, self._kind, sliding_m))
         previous, self._command = self._command, command
         if previous is None or previous.reason is not command.reason:
+            self._since_s = now_s
             self._publish_status()
         self._tell_reason(now_s, command)
         return velocity
@@ -246,6 +250,9 @@ class ControllerNode(ros.FvsNode):
     # --- outputs ---
 
     def _tell_reason(self, now_s: float, command: Command) -> None:
+        # What is missing at a start for a moment is no news.
+        if command.state is State.WAITING and now_s < self._since_s + _PASSING_S:
+            return
         passes = command.state in (State.WAITING, State.HOLDING) or command.reason in _LATE
         passes = passes and not command.reason.needs_start
         again = passes and now_s < self._logged_s.get(command.reason, -np.inf) + ros.REPEAT_S
@@ -263,7 +270,8 @@ class ControllerNode(ros.FvsNode):
         silence = "" if command.state is State.SERVOING else self._silence
         ranges = "" if self._loop.supervisor.config.ranges_known else _NO_RANGES
         hidden = self._loop.supervisor.inputs.hidden(self.now_s())
-        possible = (self._refusal, silence, ranges, hidden, self._crowded)
+        crowded = "" if command.reason is Reason.CONFLICT else self._crowded  # it says so
+        possible = (self._refusal, silence, ranges, hidden, crowded)
         remarks = [remark for remark in possible if remark]
         text = f"{command.text} ({'; '.join(remarks)})" if remarks else command.text
         values = self._loop.status_values(self.now_s()) if self.status_heard else {}

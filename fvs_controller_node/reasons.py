@@ -47,7 +47,7 @@ class Reason(Enum):
     READY = (State.READY, Stop.RAMP, False, "ready", "call ~/start to move")
 
     MISSING = _holds("no {name} yet ({count} of {wanted} messages)", "{hint}")
-    NO_TARGET = _holds("no {name} yet", "publish one, or call ~/set_current_as_target")
+    NO_TARGET = _holds("no {name} yet", "call fvs_target, or ~/set_current_as_target")
     STALE = _holds("{name} is {age_s:.2f} s old ({limit} is {limit_s:.2f} s)", "{hint}")
     RETURNING = _holds("{name} resumes: {count} of {wanted} fresh messages")
     BAD_INPUT = (

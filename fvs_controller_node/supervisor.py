@@ -147,10 +147,9 @@ class Supervisor:
 
     def stop(self) -> tuple[bool, str]:
         """End servoing; the arm ramps to rest. It does not start again by itself."""
-        was_started = self.started
         self.started, self._starts_itself, self._ended = False, False, None
         self._singularity.leaving = False
-        return True, "stopping" if was_started else "was not started; it will not start by itself"
+        return True, "stopping; it moves only after ~/start"
 
     def shutdown(self) -> Command:
         """End permanently: zeros from now on, or a ramp to them within a jerk limit."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import socket
 import threading
 import time
@@ -48,6 +49,7 @@ class Page:
     def __init__(self, config: DashboardConfig, act: Callable[[Action], None]) -> None:
         self._host, self._act, self._kind = config.host, act, config.kind
         _check_free(config.host, config.port)
+        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # a tab that closes
         with _quiet(), own_requests_only(config.host):
             self._server = _Server(config.host, config.port, label="fvs_ros", verbose=False)
         reached_at = "localhost" if config.host in EVERYWHERE else config.host

@@ -13,6 +13,8 @@ from fvs_ros.camera import Intrinsics
 TARGET_RGB, MEASURED_RGB = (86, 180, 233), (60, 230, 60)
 #: Widths of a picture in the panel, and in the place of the view.
 PANEL_PX, VIEW_PX = 320, 640
+#: No program runs for so long, s: simulated time, which begins at 0, is the stamp's or ours.
+_OTHER_CLOCK_S = 1e8
 
 
 def blank(width: int) -> np.ndarray:
@@ -45,7 +47,9 @@ class Picture:
         if self._exposed_s == inf:
             return self.waits_for
         age_s = now_s - self._exposed_s
-        old = [f"the picture is {age_s:.0f} s old"] * (age_s > 2.0)
+        words = "the picture is of another clock: set use_sim_time as its camera has it"
+        words = words if age_s > _OTHER_CLOCK_S else f"the picture is {age_s:.0f} s old"
+        old = [words] * (age_s > 2.0)
         outside = np.any((targets_px < 0.0) | (targets_px >= self.size_px))  # false for NaN
         return "; ".join([*old, *["the target is outside the picture"] * bool(outside)])
 

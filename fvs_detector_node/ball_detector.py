@@ -241,9 +241,10 @@ def _guess(blob: Blob, scene: _Scene) -> tuple[float, int, Sighting] | Sighting:
     share = blob.pixels / expected_px
     miss = Sighting(
         None,
-        f"an object of the ball's colour, {distance_m:.2f} m away, is as large as a ball of "
-        f"{1e3 * radius_m * np.sqrt(share):.0f} mm radius, not a ball of {1e3 * radius_m:.0f} mm: "
-        "check ball_radius_m, uncover the ball, align depth to colour (align_depth.enable:=true)",
+        f"an object of the ball's colour, {distance_m:.2f} m away, as large as a ball of "
+        f"{1e3 * radius_m * np.sqrt(share):.0f} mm radius, has not the outline of one of "
+        f"{1e3 * radius_m:.0f} mm: check ball_radius_m, uncover the ball, use larger images, align "
+        "depth to colour (align_depth.enable:=true)",
         box,
     )
     nearest_m = ACCEPT.nearest_radii * radius_m

@@ -218,9 +218,10 @@ class CameraWatch:
         if self._camera is None and self._detector.needs_calibration:
             wanted.append(("camera_info", self._topics["info"], "is it remapped as well?"))
         for what, topic, hint in wanted:
-            if self._node.monitor(topic).age_s(now_s) > _MISSING_S:
-                published = bool(self._publishers_of(topic))
-                why = "no message arrives" if published else "no node publishes there"
+            age_s = self._node.monitor(topic).age_s(now_s)
+            if age_s > _MISSING_S:
+                heard = "none arrives" if age_s == np.inf else f"the last is {age_s:.1f} s old"
+                why = heard if self._publishers_of(topic) else "no node publishes there"
                 return f"no {what} on {self._node.resolve_topic_name(topic)}: {why}; {hint}"
         return ""
 
@@ -247,8 +248,8 @@ class CameraWatch:
         if repeats >= 5:
             return FAULT, f"image stamps do not advance, {repeats} in a row: is the camera frozen?"
         apart = "" if offset_s is None else f", {1e3 * offset_s:+.1f} ms"
-        hint = "start the camera with enable_sync:=true"
-        return WAITING, f"colour and depth differ in time{apart}: {hint}"
+        hint = f"are there at least {1 / _MISSING_S:g} per second? Else set enable_sync:=true"
+        return WAITING, f"no pair of colour and depth images{apart}: {hint}"
 
     @property
     def level(self) -> bytes:

@@ -29,7 +29,7 @@ from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path, behind_play
 from fvs_ros.chain import MOST_LENS, MOST_PLAY_RAD, SerialChain, cross_matrix
 from fvs_ros.filter import OUTLIER
-from fvs_ros.timeline import MAX_GAP_S
+from fvs_ros.timeline import MAX_GAP_S, too_slow
 from fvs_ros.vectors import LARGEST, largest, plausible
 
 #: Applies a function to all items, like the built-in ``map``: here or by other processes.
@@ -190,8 +190,12 @@ def fit_chain(
     if not data.still and len(path.indices) < _MIN_SAMPLES:
         raise ChainFitError(
             f"a chain needs at least {_MIN_SAMPLES} images in continuous runs of more than "
-            f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}; still poses have "
-            f"joints at rest for {MAX_OFFSET_S:g} s before each image, or no stamp_s in a table"
+            f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}; "
+            + (
+                too_slow(data.stamps_s)
+                or f"still poses have joints at rest for {MAX_OFFSET_S:g} s before each image, or "
+                "no stamp_s in a table"
+            )
         )
     if not plausible(data.z):
         raise ChainFitError(f"the {data.kind.what} has a place above {LARGEST:g} m: metres?")

@@ -23,7 +23,7 @@ from fvs_ros.kinds import KindConfig
 from fvs_ros.limiter import CommandLimiter
 from fvs_ros.limits import limit_speed, tick_s
 from fvs_ros.params import parameter
-from fvs_ros.timeline import Sample, Timeline, repeats
+from fvs_ros.timeline import Sample, Timeline, repeats, too_slow
 
 #: Largest age of joint states before the arm stops, and of the ball before it turns back, s.
 _JOINTS_MAX_AGE_S, _BALL_MAX_AGE_S = 0.1, 0.5
@@ -121,6 +121,15 @@ class CollectionRun:
     def ended(self) -> bool:
         """Whether the run is over and the arm at rest."""
         return self.state in _OVER and not np.any(self._limiter.velocity_rad_s)
+
+    @property
+    def image_trouble(self) -> str:
+        """Why a camera's images give no model: too slow, or none usable; empty if they do."""
+        for samples, timeline in zip(self.samples, self._timelines, strict=True):
+            newest = [each.stamp_s for each in samples[-9:]]
+            if trouble := too_slow(newest) if newest else timeline.last_reason:
+                return f"; {trouble}"
+        return ""
 
     def joint_states(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Take joint positions: arrival on the steady clock and stamp, s; (n,), rad."""
@@ -239,12 +248,12 @@ class CollectionRun:
             if self._in_view is not None and self.state is State.MOVING:
                 self._in_view.lost()
             motion.return_home()
-            self._wait(now_s, State.RETURNING, lost)
+            self._wait(now_s, State.RETURNING, lost + self.image_trouble)
         else:
             self._trouble_s = None
             motion.resume(self._moved_s, joints)
             self.state = State.MOVING
-            self.reason = "moving and recording" + (missing and f"; {missing}")
+            self.reason = "moving and recording" + (missing and f"; {missing}") + self.image_trouble
         moves = self.state in (State.MOVING, State.RETURNING)
         return self._command(motion, joints) if moves else None
 

@@ -112,7 +112,8 @@ class CollectorNode(ros.FvsNode):
         samples = self._run.samples
         fewest = min(map(len, samples))
         if fewest < _MIN_SAMPLES:
-            print(f"{fewest} positions are too few to be written", file=sys.stderr)
+            why = self._run.image_trouble
+            print(f"{fewest} positions are too few to be written{why}", file=sys.stderr)
             return False
         data = data_set_of(
             *samples,

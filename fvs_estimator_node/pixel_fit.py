@@ -26,7 +26,7 @@ from fvs_estimator_node.joint_path import MAX_OFFSET_S, Path
 from fvs_ros.chain import SerialChain
 from fvs_ros.filter import OUTLIER
 from fvs_ros.pixel_chain import PixelChain, Webcam, points_of, slopes_of_points
-from fvs_ros.timeline import MAX_GAP_S
+from fvs_ros.timeline import MAX_GAP_S, too_slow
 
 #: Fewest images of a motion that are fitted, and images of the search for the right start.
 _LEAST_IMAGES, _SEARCH_IMAGES = 100, 200
@@ -129,7 +129,8 @@ def fit_pixels(
     if images < least:
         raise ChainFitError(
             f"a chain before a webcam needs at least {least} images in continuous runs, the data "
-            f"set has {images}: collect longer, with all points in the picture"
+            f"set has {images}: "
+            + (too_slow(data.stamps_s) or "collect longer, with all points in the picture")
         )
     fitting = _Fitting(path, data)
     if fitting.spread_px < 1.0:

@@ -146,7 +146,7 @@ def measure(worlds: Worlds, context: lab.Context) -> Results:
     schemes = schemes_called(context.schemes or (("proposed", ORACLE) if context.quick else ()))
     drawn = context.map(worlds.draw, range(1, context.count(500) + 1), "worlds")
     trials = [trial for world in drawn for trial in trials_in(world, schemes)]
-    runs = context.run(trials, worlds.name)
+    runs = context.run(trials, worlds.name, quick_s=worlds.duration_s)
     return runs.adding(lambda row: judged(row, worlds.duration_s))
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,13 @@ MAX_LATENCY_S = 0.5
 def repeats(stamp_s: float, last_s: float | None) -> bool:
     """Whether a stamp, s, is that of the last message, or slightly older: it is no fresh one."""
     return last_s is not None and last_s - MAX_BACKSTEP_S <= stamp_s <= last_s
+
+
+def too_slow(stamps_s: Sequence[float] | np.ndarray) -> str:
+    """That images with these stamps, s, (k,), are too far apart for a run; empty if not."""
+    gap_s = np.median(np.diff(stamps_s)) if len(stamps_s) > 4 else 0.0
+    words = "images came at {:.1f} Hz, at least {:g} are needed"
+    return words.format(1.0 / gap_s, 1.0 / MAX_GAP_S) if gap_s > MAX_GAP_S else ""
 
 
 class History:
@@ -155,7 +163,7 @@ class Timeline:
             if newest_s - stamp_s > MAX_LATENCY_S:
                 self._drop(
                     f"an image is stamped {newest_s - stamp_s:.2f} s before the newest joint "
-                    "state; check that both clocks agree (NTP)"
+                    "state; check that both clocks agree (NTP), use_sim_time and the images' delay"
                 )
                 continue
             joints_rad = self.joints.at(stamp_s)

@@ -103,7 +103,7 @@ class Track:
         age_s = newest_s - seen_s
         if abs(age_s) > MAX_LATENCY_S:
             side = "older" if age_s > 0.0 else "newer"
-            lost = "is it in view? Else " if age_s > 0.0 else ""
+            lost = "is it in view, or do images arrive late? Else " if age_s > 0.0 else ""
             return (
                 f"the newest {name} is stamped {abs(age_s):.2f} s {side} than the newest "
                 f"joint_states; {lost}check that both machines' clocks agree (NTP), and "

@@ -45,6 +45,8 @@ _ANSWER_S = 10.0
 _FEEDBACK_S = 1.0
 #: Successive statuses, of 0.1 s, that say it is settled: steps too short to unsettle it are made.
 _SETTLED = 5
+#: What takes the controller's sentences on the way.
+Feedback = Callable[[str], None]
 #: Verb -> fewest and most names.
 _VERBS: dict[str, tuple[float, float]] = {
     "teach": (1, 1),
@@ -135,18 +137,18 @@ class ServoClient:
         self._choose(name)
         return self._call("teach")
 
-    def follow(self, name: str, timeout_s: float = _ANSWER_S) -> str:
+    def follow(
+        self, name: str, timeout_s: float = _ANSWER_S, feedback: Feedback | None = None
+    ) -> str:
         """Go to a reference and stay with its object; returns once the arm may start."""
         self._choose(name)
         answer = self._call("go_to_reference")
         if not answer.startswith(f"{name}: "):
             raise ServoError(f"another client chose at the same time: {answer}")
-        self._start(timeout_s)
+        self._start(timeout_s, feedback)
         return answer
 
-    def go_to(
-        self, name: str, timeout_s: float = inf, feedback: Callable[[str], None] | None = None
-    ) -> Result:
+    def go_to(self, name: str, timeout_s: float = inf, feedback: Feedback | None = None) -> Result:
         """Go to a reference, and wait until it is reached, given up or out of time.
 
         Once it is reached, the session ends: the arm rests there, also if the object moves on.
@@ -167,7 +169,7 @@ class ServoClient:
         numbers: Sequence[float],
         frame: str = "",
         timeout_s: float = inf,
-        feedback: Callable[[str], None] | None = None,
+        feedback: Feedback | None = None,
     ) -> Result:
         """Go to a target, and wait as ``go_to`` does.
 
@@ -189,7 +191,7 @@ class ServoClient:
 
     # ---- how ----------------------------------------------------------------------------------
 
-    def _send_target(self, numbers: Sequence[float], frame: str, timeout_s: float) -> None:
+    def _send_target(self, numbers: Sequence[float], frame: str, *start: Any) -> None:
         """Send a target, and start once the controller has accepted it."""
         names = [parameter.name for parameter in KindConfig.declared()]
         answer = self._ask(GetParameters, "get_parameters", GetParameters.Request(names=names))
@@ -204,7 +206,7 @@ class ServoClient:
         for part, rows in zip(kind.parts, kind.rows, strict=True):
             message = ros.to_feature(stamp_s, frame, part, z[rows])
             self._publish_target(part.topics.target, message)
-        self._start(timeout_s)
+        self._start(*start)
 
     def _publish_target(self, topic: topics.Topic, message: Any) -> None:
         """Publish a target, and wait until the controller has taken or refused it."""
@@ -222,24 +224,28 @@ class ServoClient:
         if refusal:
             raise ServoError(refusal)
 
-    def _start(self, timeout_s: float) -> None:
-        """Start once nothing is missing."""
-        end_s = time.monotonic() + timeout_s
+    def _start(self, timeout_s: float, feedback: Feedback | None) -> None:
+        """Start once nothing is missing; what is still missing after a second is said once."""
+        begin_s = time.monotonic()
         while not (response := self._ask(Trigger, "start", Trigger.Request())).success:
-            if time.monotonic() > end_s:
+            passed_s = time.monotonic() - begin_s
+            if passed_s > timeout_s:
                 raise ServoError(response.message)
+            if feedback and passed_s > _FEEDBACK_S:
+                feedback(response.message)
+                feedback = None
             self._next_status()  # what is missing may be on its way
 
     def _until_reached(
         self,
-        begin: Callable[[float], Any],
+        begin: Callable[[float, Feedback | None], Any],
         timeout_s: float,
-        feedback: Callable[[str], None] | None,
+        feedback: Feedback | None,
     ) -> Result:
         """Begin a motion, and wait until it ends."""
         begin_s = time.monotonic()
         try:
-            begin(min(timeout_s, _ANSWER_S))
+            begin(min(timeout_s, _ANSWER_S), feedback)
         except ServoError as error:
             return Result(False, nan, time.monotonic() - begin_s, str(error))
         said = self._next_status()  # the one after the present one is of this target
@@ -310,19 +316,20 @@ class ServoClient:
             if stop.RECEIVED:
                 raise KeyboardInterrupt
             if time.monotonic() > end_s:
-                raise ServoError(f"waited {_ANSWER_S:g} s for {what}: does the controller run?")
+                heard = self._status is not None
+                why = "is this computer too busy?" if heard else "does the controller run?"
+                raise ServoError(f"waited {_ANSWER_S:g} s for {what}: {why}")
             self._executor.spin_once(timeout_sec=0.05)
 
 
 def target() -> int:
     """Run ``fvs_target``."""
-    sys.argv.insert(1, "target")
-    return main()
+    return main("target")
 
 
-def main() -> int:
-    """Run ``fvs_servo``."""
-    parser = _parser()
+def main(verb: str = "") -> int:
+    """Run ``fvs_servo``, or ``fvs_target`` with its verb."""
+    parser = _parser(verb)
     given = parser.parse_args()
     fewest, most = _VERBS[given.verb]
     if not fewest <= len(given.words) <= most:
@@ -363,7 +370,7 @@ def _do(client: ServoClient, given: argparse.Namespace) -> int:
 
 def _move(client: ServoClient, given: argparse.Namespace) -> bool:
     if given.verb == "follow":
-        print(client.follow(*given.words))
+        print(client.follow(given.words[0], feedback=print))
         return True
     limits = {"timeout_s": given.timeout_s, "feedback": print}
     if given.verb == "target":
@@ -379,9 +386,11 @@ def _told(result: Result, what: str = "") -> bool:
     return result.reached
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser("fvs_servo", __doc__)
-    parser.add_argument("verb", metavar="VERB", choices=_VERBS, help=", ".join(_VERBS))
+def _parser(verb: str) -> argparse.ArgumentParser:
+    parser = Parser(f"fvs_{verb or 'servo'}", __doc__)
+    parser.set_defaults(verb=verb)
+    if not verb:
+        parser.add_argument("verb", metavar="VERB", choices=_VERBS, help=", ".join(_VERBS))
     parser.add_argument("words", nargs="*", metavar="NAME", help="of references, or numbers")
     parser.add_argument("--frame", default="", help="of a target: object (default: the camera's)")
     parser.add_argument("--timeout-s", type=float, default=inf, help="for each target, s")

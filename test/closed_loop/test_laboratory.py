@@ -56,6 +56,13 @@ def test_a_quick_run_makes_a_complete_page(name, tmp_path, monkeypatch):
         assert text in page
 
 
+def test_a_smoke_test_of_a_scheme_settles(tmp_path):
+    command = ["everyday", "--quick", "--scheme", "best", "--jobs", "1", "--out", str(tmp_path)]
+    assert main.main(command) == 0
+    report = json.loads((tmp_path / "everyday" / "results.json").read_text(encoding="utf-8"))
+    assert [run["settled"] for run in report["runs"]] == [True]
+
+
 # ---- runs -----------------------------------------------------------------------------------
 
 

@@ -156,6 +156,17 @@ def test_lost_input_stops_or_turns_the_arm_until_it_is_back_or_ends_the_run(sour
     assert not np.any(cell.last)
 
 
+@each(("period", "late_s", "words"), [(125, 0.04, "at 1.0 Hz"), (4, 0.6, "stamped 0.6")])
+def test_images_that_give_no_model_are_named_within_ten_seconds(period, late_s, words):
+    cell = Cell()
+    for tick in range(round(10.0 / DT_S)):
+        cell.pass_time(ball=False)
+        if tick % period == 0:
+            cell.take_ball(np.array([0.1, 0.2, 1.4]) + 0.3 * cell.joints[:3], cell.stamp_s - late_s)
+    assert words in cell.run.reason
+    assert cell.run.reason.endswith(cell.run.image_trouble)
+
+
 def test_a_camera_that_sees_nothing_turns_the_arm_only_with_all_others():
     run = CollectionRun(
         CollectorConfig(duration_s=60.0, feature="points", points=Points(cameras=("left", "right")))

@@ -110,6 +110,8 @@ def test_a_target_that_the_picture_does_not_show_is_said():
         assert bool(words) == bool(said)
     assert view.words(0.0, np.full((2, 2), np.nan)) == ""
     assert view.words(0.0, view.pixels(None)) == ""
+    assert view.words(5.0, view.pixels(None)) == "the picture is 5 s old"
+    assert "set use_sim_time" in view.words(1.8e9, view.pixels(None))
 
 
 # --- who is let in ---

@@ -56,6 +56,14 @@ def first_20(path):
     return path
 
 
+def slow(path):
+    """The data set, its images too far apart."""
+    data = load_data_set(path)
+    segment = np.arange(len(data))
+    save_data_set(path, replace(data, stamps_s=1.0 * segment, segment=segment))
+    return path
+
+
 @pytest.mark.parametrize(
     ("data_of", "options", "words"),
     [
@@ -65,6 +73,7 @@ def first_20(path):
         (lambda path: path, ("-o", "/proc/no/model.npz"), "cannot be written"),
         (first_20, (), "expected at least"),
         (first_20, ("--method", "poe"), "at least 200 images"),
+        (slow, ("--method", "poe"), "images came at 1.0 Hz, at least 4 are needed"),
         (lambda path: path, ("--backend", "nowhere"), "Invalid backend: nowhere"),
         (lambda path: path, ("--backend", "loky,2"), "expected NAME,key=value"),
     ],
