@@ -32,8 +32,8 @@ from fvs_sim_node.simulation import Observation, SimStep, Simulation
 
 #: In simulated time, services and parameters are served this often.
 _BURST_S = 0.005
-#: The first command is waited for so long, s: discovery may take three seconds and more.
-_FIRST_S = 10.0
+#: Until its first command, a node gets joint states this far apart, s: it answers none before.
+_FIRST_S = 0.1
 #: Topics of the responses to joint states, and largest simulated time without a new one, s; that
 #: of a detector's.
 _ANSWERS = {
@@ -118,7 +118,7 @@ class SimNode(ros.FvsNode):
         """Let simulated time pass."""
         self._period_s = 1.0 / config.simulation.joint_state_rate_hz
         self._stepped_s = self.steady_s()
-        self._commanded = False  # has a command arrived, or is none awaited any more?
+        self._commanded = False  # has a command arrived, of the nodes that publish them?
         self._answered_s: dict[str, float] = {}  # simulated time of the last answer on each topic
         if config.simulated_time:
             self._base_s = 1.0  # zero means "no time" to ROS
@@ -159,18 +159,19 @@ class SimNode(ros.FvsNode):
         # A busy computer keeps a node from running for less than three seconds. A node without a
         # response for longer counts as ended, until it responds again.
         waited_s = self.steady_s() - self._stepped_s
-        if (late and waited_s < 3.0) or (not self._commanded and self._awaits_command(waited_s)):
+        if (late and waited_s < 3.0) or (waited_s < _FIRST_S and self._awaits_command()):
             return True
         for topic in late:
             del self._answered_s[topic]
             self._late += 1
         return False
 
-    def _awaits_command(self, waited_s: float) -> bool:
+    def _awaits_command(self) -> bool:
         """Whether a node publishes commands, and the first is still on its way."""
-        self._commanded = waited_s > _FIRST_S
-        name = self.resolve_topic_name(self._command_topic.name)
-        return not self._commanded and self.count_publishers(name) > 0
+        return not self._commanded and self._has_commander()
+
+    def _has_commander(self) -> bool:
+        return self.count_publishers(self.resolve_topic_name(self._command_topic.name)) > 0
 
     def _answer(self, topic: str, _message: Any = None) -> None:
         if self._config.simulated_time:
@@ -264,6 +265,7 @@ class SimNode(ros.FvsNode):
                 camera.worker = FrameWorker(self._sim.config)
         if self._config.simulated_time:
             self._sim.full_frames = any(camera.watched for camera in self._cameras)
+            self._commanded = self._commanded and self._has_commander()
 
     # --- inputs ---
 

@@ -48,6 +48,22 @@ def test_the_simulator_waits_for_a_command_to_each_joint_state_and_for_nodes_far
         ros_test.spin_until(lambda n=count: len(states) > n + 100, what="the simulator to go on")
 
 
+def test_the_simulator_awaits_the_first_command_of_each_program_in_turn(ros_test):
+    ros_test.start_node("fvs_sim_node.node", simulated_time=True)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
+    for _ in range(2):
+        count = len(states)
+        ros_test.spin_until(lambda n=count: len(states) > n + 50, what="the simulator to go on")
+        commands = ros_test.publisher(Float64MultiArray, topics.COMMANDS.name)
+        ros_test.spin_for(0.5)  # until it knows the publisher
+        count = len(states)
+        ros_test.spin_for(0.3)
+        assert count < len(states) < count + 10  # for a node that waits for the first, too
+        commands.publish(ros.to_command(np.zeros(6)))
+        ros_test.spin_until(lambda n=count: len(states) > n + 1, what="steps")
+        ros_test.node.destroy_publisher(commands)
+
+
 def test_the_demo_moves_a_camera_on_the_arm_to_where_it_shall_see_a_tag(ros_test):
     few = "targets:=1", "target_s:=2.0", "image_rate_hz:=15.0", "output_dir:=out"
     on_arm = "camera_mount:=arm", "feature:=pose", "simulated_time:=true", "use_sim_time:=true"
