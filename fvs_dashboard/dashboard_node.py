@@ -211,7 +211,9 @@ class DashboardNode(ros.FvsNode):
         self._send_tour(now_s)
         watched = self._page.watched
         # The first before a browser asks: a simulator takes seconds to begin to draw.
-        wanted = watched or not all(picture.size_px.any() for picture in self._pictures)
+        wanted = watched or any(
+            picture.published and not picture.size_px.any() for picture in self._pictures
+        )
         if wanted != bool(self._cameras):
             self._look_at_images(wanted)
         if watched:
@@ -240,16 +242,17 @@ class DashboardNode(ros.FvsNode):
 
     def _look_around(self) -> None:
         """Query what has no topic: parameters of the other nodes, and publishers of images."""
-        if not self._page.watched:
-            return
         for camera, picture in enumerate(self._pictures):
             names = self._image_names(camera)
             published = [name for name in names if self.count_publishers(name)]
+            picture.published = bool(published)
             picture.waits_for = (
                 f"waiting for the first picture from {' or '.join(published)}"
                 if published
                 else f"no picture: no node publishes {' or '.join(names)}"
             )
+        if not self._page.watched:
+            return
         for node, parameters in _ASKED.items():
             self._calls.ask(node, parameters, partial(self._board.parameters.__setitem__, node))
         names, prefix = (self._board.parameter(topics.CONTROLLER, name) for name in _JOINTS)

@@ -31,6 +31,7 @@ class Picture:
         self.size_px = np.zeros(2)
         #: Of the images; without, no target in the camera's frame is drawn into them.
         self.intrinsics: Intrinsics | None = None
+        self.published = False  #: whether a node publishes images
         #: Reason why there is no picture yet, in words.
         self.waits_for = ""
         self._image: np.ndarray | None = None

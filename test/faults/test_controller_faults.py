@@ -2,6 +2,7 @@
 
 import math
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -157,7 +158,10 @@ def test_another_nodes_commands_hold_the_arm_and_the_node_is_named(bench):
     assert "/test_node commands the arm as well" in bench.text()
     timer.cancel()
     bench.harness.node.destroy_publisher(conflicting)
-    bench.wait(lambda: "publishes commands as well" not in bench.text(), what="it to be gone")
+    commanders = partial(bench.harness.node.count_publishers, topics.COMMANDS.name)
+    bench.wait(lambda: commanders() == 1, what="it to be gone")
+    count = len(bench.robot.commands)
+    bench.wait(lambda: len(bench.robot.commands) > count + 50, what="its last command")
     bench.robot.commands.clear()  # some are not the controller's
     bench.assert_keeps_sending_zeros()
 

@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
@@ -57,6 +58,8 @@ AT_TIMES = {
     ),
 }
 TOPICS = (*topics.COMMON, *(topic for kind in KINDS.values() for topic in kind.topics))
+#: Those that each camera has.
+OF_CAMERAS = {topic for kind in KINDS.values() if not kind.rigid for topic in kind.topics}
 #: Time in which what is not declared would show.
 SETTLE_S = 1.0
 
@@ -70,6 +73,8 @@ class LoneNode:
         overrides = {**ALONE.get(name, {}), **overrides}
         if overrides.get("feature") == "points":
             overrides.pop("object_tag_id", None)  # which are not relative to an object
+            if name == topics.DEMO:
+                overrides["cameras"] = ["front", "side"]  # of the model in the package
         self.declared, self.values = {p.name: p for p in parameters}, parameters.values(overrides)
         self.client = AsyncParameterClient(harness.node, self.resolve("~"))
         self.arguments = ros_arguments({"__ns": self.namespace}, **overrides)
@@ -167,11 +172,13 @@ def declared_ends(node, publishing):
     """Topic of each full name, type and quality of service that a node may use."""
     ends = {}
     for topic in TOPICS:
+        cameras = node.values.get("cameras", [""]) if topic in OF_CAMERAS else [""]
         if node.name in (topic.publishers if publishing else topic.subscribers):
-            for qos in [topic.offers] if publishing else [*topic.asks, topics.Qos.RELIABLE]:
+            qualities = [topic.offers] if publishing else [*topic.asks, topics.Qos.RELIABLE]
+            for qos, camera in product(qualities, cameras):
                 profile = ros.PROFILES[qos]
-                end = node.resolve(topic.name), topic.type, profile.reliability, profile.durability
-                ends[end] = topic
+                name = node.resolve(topics.of_camera(topic, camera).name)
+                ends[name, topic.type, profile.reliability, profile.durability] = topic
     return ends
 
 
