@@ -44,7 +44,7 @@ def test_an_arm_of_five_joints_brings_a_tag_where_it_shall_be_and_look():
         values = {"law": "minimum_time", "task_axes": kind.task_axes, "singular_hold_m_rad": 0.004}
         estimator = PoeEstimator(simulation.true_chain(kind), kind=kind)
         with pytest.raises(ValueError, match="needs 6 joints or more, got 5"):
-            ClosedLoop(simulation, estimator)
+            ClosedLoop(simulation, PoeEstimator(simulation.true_chain(Pose()), kind=Pose()))
         loop = ClosedLoop(simulation, estimator, values)
         loop.run(0.5)
         run(loop, target, 2.0)

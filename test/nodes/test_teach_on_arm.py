@@ -42,7 +42,7 @@ def test_a_view_is_taught_and_found_again_where_the_object_is(ros_test):
     assert np.linalg.norm(KIND.minus(KIND.inverse(robot.pose()), taught)) > 0.05
     code, words = servo("go", "dock")
     assert code == 0, words
-    assert "dock: reached in" in words
+    assert "dock: reached, " in words
     assert np.linalg.norm(KIND.minus(KIND.inverse(robot.pose()), taught)) < 0.005
 
     ros_test.spin_for(0.5)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fvs_ros import stop
 
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "real_ur5.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
 #: What cannot be noted, and what a crash raises again and again.
 LETHAL = {"SIGKILL", "SIGSTOP", "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL"}
 #: What ends no program, and what would suspend one, which is ignored.
