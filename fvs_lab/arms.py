@@ -1,14 +1,16 @@
-"""Arms by other authors, learned and servoed with no line about any of them."""
+"""Arms by other authors, learned and servoed by what cameras see, with no line about any arm."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
+from fvs_controller_node.config import SupervisorConfig
 from fvs_estimator_node.collecting import CollectionRun, CollectorConfig
 from fvs_estimator_node.files import DataSet, TrainedModel, data_set_of
 from fvs_estimator_node.registry import create_estimator
@@ -20,6 +22,8 @@ from fvs_lab.results import Results, median
 from fvs_lab.trials import Case, Trial, apart, crossed, drive, photo, relative_errors
 from fvs_ros.chain import SerialChain
 from fvs_ros.interface import POSITION, PositionPath
+from fvs_ros.kinds.points import Points
+from fvs_ros.kinds.pose import Pose
 from fvs_ros.limits import JointLimits, with_urdf_limits
 from fvs_ros.params import Parameters
 from fvs_sim_node.config import SimConfig
@@ -30,14 +34,34 @@ from fvs_tools.score import SETTLED_ERROR_M
 
 #: Duration of the collector's motion, s.
 MOTION_S = 60.0
-#: Share of the ball's whole way in the data that a target is away, at least.
+#: Share of the flange's whole way in the data that a target is away, at least.
 FAR = 0.3
+#: The arm is held below this share of the smallest singular value at home; a UR5 by default is.
+HELD_BELOW = 0.25
+
+
+#: What is seen, by exact cameras with noise: 1 mm, what rendered tags have, and 0.3 px.
+BALL, TAG, WEBCAM, WEBCAMS = "ball", "tag", "one webcam", "two webcams"
+EXACT, WHITE_M = SimConfig(rendered=False, position_noise_m=0.001), 0.3 * Points.pixel_m
+FEATURES = {
+    BALL: EXACT,
+    TAG: replace(EXACT, feature=Pose.name, position_noise_m=3e-4),
+    WEBCAM: replace(EXACT, feature=Points.name, position_noise_m=WHITE_M),
+    WEBCAMS: replace(
+        EXACT,
+        feature=Points.name,
+        points=Points(cameras=("front", "side")),
+        position_noise_m=WHITE_M,
+    ),
+}
+#: How much of a tag's pose is servoed with fewer than six joints.
+TASKS = {4: "position", 5: "position_y"}
 
 
 @lru_cache(maxsize=1)
-def _simulation(arm: str) -> Simulation:
-    """The process's simulated arm, before an exact camera with 1 mm of noise."""
-    return Simulation(SimConfig(robot=arm, rendered=False, position_noise_m=0.001))
+def _simulation(arm: str, feature: str) -> Simulation:
+    """The process's simulated arm, before its cameras."""
+    return Simulation(replace(FEATURES[feature], robot=arm))
 
 
 def described(simulation: Simulation, values: Parameters) -> dict[str, Any]:
@@ -77,45 +101,58 @@ def collect(simulation: Simulation, config: CollectorConfig, late_s: float = 0.0
     return data_set_of(*run.samples, joint_names=names, cameras=cameras, **seen)
 
 
-def learn(arm: str, duration_s: float) -> tuple[TrainedModel, float]:
+def learn(arm: str, feature: str, duration_s: float) -> tuple[TrainedModel, float]:
     """Move the arm as the collector does, and train; also the Jacobian's error in the box."""
-    simulation = _simulation(arm)
-    names = simulation.world.joint_names
-    asked = CollectorConfig(joint_names=names, duration_s=duration_s, seed=1)
-    data = collect(simulation, CollectorConfig.from_values(described(simulation, asked)))
-    trained = train(data, TrainingOptions("poe", seed=1))
-    assert trained.chain is not None
+    simulation = _simulation(arm, feature)
+    kind, names = simulation.kind, simulation.world.joint_names
+    asked = described(simulation, CollectorConfig(joint_names=names, duration_s=duration_s, seed=1))
+    asked |= kind.values
+    trained = train(
+        collect(simulation, CollectorConfig.from_values(asked)), TrainingOptions("poe", seed=1)
+    )
     low, high = trained.joint_box_rad
     joints_rad = np.random.default_rng(2).uniform(low, high, (500, len(names)))
-    true = np.array(list(map(simulation.true_jacobian, joints_rad)))
-    return trained, float(np.median(relative_errors(trained.chain.jacobian(joints_rad), true)))
+    learned, true = (
+        np.array([kind.along(chain, joints)[1] for joints in joints_rad])
+        for chain in (trained.chain, simulation.true_chain())
+    )
+    return trained, float(np.median(relative_errors(learned, true)))
 
 
-def servo(task: tuple[str, int, float]) -> list[dict[str, Any]]:
+def servo(task: tuple[str, str, int, float]) -> list[dict[str, Any]]:
     """Learn an arm from a motion, s, and servo it to a number of random targets: a row for each.
 
-    Targets are in the box of the data, where the ball is seen and far away.
+    Targets are in the box of the data, where the feature is seen and far away.
     """
-    arm, count, duration_s = task
-    trained, error = learn(arm, duration_s)
-    simulation = _simulation(arm)
+    arm, feature, count, duration_s = task
+    trained, error = learn(arm, feature, duration_s)
+    simulation = _simulation(arm, feature)
+    kind, chain = simulation.kind, simulation.world.chain
+    if isinstance(kind, Pose):
+        kind = replace(kind, task_axes=TASKS.get(chain.joints, kind.task_axes))
     best = scheme("best")
     variant = Trial(
         best,
-        labels={"arm": arm, "joints": len(simulation.world.joint_names), "learned": error},
+        labels={"feature": feature, "arm": arm, "joints": chain.joints, "learned": error},
         estimator_of=lambda *_: create_estimator(
-            best.method, best.estimator_values, lambda: trained
+            best.method, best.estimator_values, lambda: trained, kind
         ),
     )
+    if kind.rigid:
+        home = simulation.true_jacobian(simulation.world.start_rad(simulation.config))
+        smallest_m_rad = HELD_BELOW * float(np.linalg.svd(home, compute_uv=False)[-1])
+        hold_m_rad = min(SupervisorConfig.singular_hold_m_rad, smallest_m_rad)
+        variant = variant.changed(controller={"singular_hold_m_rad": hold_m_rad})
     rng, (low, high) = np.random.default_rng(3), trained.joint_box_rad
-    least_m = FAR * float(np.ptp(trained.z_samples, axis=0).max())
+    places_m = chain.position(np.random.default_rng(4).uniform(low, high, (500, low.size)))
+    least_m = FAR * float(np.ptp(places_m, axis=0).max())
     pairs = apart(simulation, lambda: rng.uniform(low, high, (2, low.size)), least_m)
     rows = []
     for number, pair in enumerate(islice(pairs, count)):
         case = Case(f"{arm} {number + 1}", *pair, number)
         (trial,) = crossed([variant], [case])
         run = drive(trial, simulation)
-        least_s = floor_s(simulation, case, simulation.world.chain)
+        least_s = floor_s(simulation, case, chain) if feature == BALL else np.nan
         rows.append({**run, "over_5mm": run["to_5mm_s"] / least_s})
     return rows
 
@@ -124,18 +161,25 @@ def measure(context: lab.Context) -> Results:
     """Measure every arm that is installed."""
     arms = [arm for arm, robot in ROBOTS.items() if robot.installed]
     duration_s = 10.0 if context.quick else MOTION_S
-    tasks = [(arm, context.count(50), duration_s) for arm in context.first(arms, 1)]
+    tasks = [
+        (arm, feature, context.count(50 if feature == BALL else 20), duration_s)
+        for feature in context.first(list(FEATURES), 1)
+        for arm in context.first(arms, 1)
+    ]
     return Results(row for rows in context.map(servo, tasks, "arms") for row in rows)
 
 
 def claims(runs: Results) -> Iterator[lab.Claim]:
     """Judge what is learned, whether it settles, and how fast redundant arms are."""
-    arms = runs.groups("arm")
-    fewest = min((group.values("settled") for group in arms.values()), key=np.mean)
-    yield lab.ours("settles", lab.kept("targets reached, fewest of all arms", fewest, 0.98))
-    errors = median([group.values("learned")[0] for group in arms.values()])
+    for feature, runs_of in runs.groups("feature").items():
+        arms = runs_of.groups("arm").values()
+        fewest = min((group.values("settled") for group in arms), key=np.mean)
+        part = lab.kept("targets reached, fewest of all arms", fewest, 0.98)
+        yield lab.ours("settles", part, feature=feature)
+    balls = runs.where(feature=BALL)
+    errors = median([group.values("learned")[0] for group in balls.groups("arm").values()])
     yield lab.ours("learned", lab.below("error of the Jacobian", errors, 0.002, 100.0, " %"))
-    redundant = runs.where(joints=7)
+    redundant = balls.where(joints=7)
     if redundant:
         yield lab.ours("fast", lab.below("over the floor", redundant.median("over_5mm"), 1.1))
 
@@ -143,7 +187,7 @@ def claims(runs: Results) -> Iterator[lab.Claim]:
 TABLES = (
     lab.Table(
         "arms",
-        ("arm", "joints"),
+        ("feature", "arm", "joints"),
         ("learned:half", "settled:of", "over_5mm"),
     ),
 )

@@ -17,7 +17,7 @@ from fvs_estimator_node.on_arm import OnArmPoeEstimator
 from fvs_estimator_node.training import learned
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.arms import collect, described, floor_s
+from fvs_lab.arms import HELD_BELOW, collect, described, floor_s
 from fvs_lab.pose import rest
 from fvs_lab.relative import VISP_1_S, joints_at
 from fvs_lab.results import Results, median
@@ -59,8 +59,6 @@ RUN_S, BELT_M_S = 3.0, 0.1
 #: The view of the simulated camera, and of what it sees; and its least distance, m.
 VIEW = ViewConfig(view_half_angles_deg=(27.0, 21.0), view_radius_m=0.045)
 NEAR = {"workspace_min_m": (-1.0, -1.0, 0.1), **vars(VIEW)}
-#: The arm is held below this share of the smallest singular value at home; a UR5 by default is.
-HELD_BELOW = 0.25
 #: A view without ends: the object is not kept in it.
 FREE = "best, view not kept"
 OPEN = {"view_half_angles_deg": (89.0, 89.0), "view_distance_m": (0.0, 9.0), "view_radius_m": 0.0}

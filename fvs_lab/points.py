@@ -22,9 +22,9 @@ from fvs_lab import contestants as who
 from fvs_lab import estimators as judge
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
+from fvs_lab.arms import HELD_BELOW
 from fvs_lab.correntropy import CorrentropyConfig, CorrentropyEstimator
 from fvs_lab.floor import Limits, least_time_s
-from fvs_lab.hand import HELD_BELOW
 from fvs_lab.results import Results
 from fvs_lab.room import Noise, Room, before
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Case, Trial, drive, relative_errors

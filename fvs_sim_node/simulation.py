@@ -388,6 +388,8 @@ class Simulation:
         For a ball in a rendered image this is accurate to 2 mm (at 2 %), because the ball's size in
         the image does not match its distance.
         """
+        if not self.kind.rigid:
+            return z  # no lens is known that could be wrong
         scaled = np.append((1.0 + self.config.depth_error) * z[:3], z[3:])
         return self.kind.without_lens(scaled[None], self.config.focal_error, 0.0)[0]
 
