@@ -22,6 +22,8 @@ from fvs_lab.results import Results, median
 from fvs_lab.trials import Case, Trial, apart, crossed, drive, photo, relative_errors
 from fvs_ros.chain import SerialChain
 from fvs_ros.interface import POSITION, PositionPath
+from fvs_ros.kinds import KindConfig
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.points import Points
 from fvs_ros.kinds.pose import Pose
 from fvs_ros.limits import JointLimits, with_urdf_limits
@@ -41,7 +43,7 @@ HELD_BELOW = 0.25
 
 
 #: What is seen, by exact cameras with noise: 1 mm, what rendered tags have, and 0.3 px.
-BALL, TAG, WEBCAM, WEBCAMS = "ball", "tag", "one webcam", "two webcams"
+BALL, TAG, WEBCAM, WEBCAMS = Ball.name, "tag", "one webcam", "two webcams"
 EXACT, WHITE_M = SimConfig(rendered=False, position_noise_m=0.001), 0.3 * Points.pixel_m
 FEATURES = {
     BALL: EXACT,
@@ -128,8 +130,8 @@ def servo(task: tuple[str, str, int, float]) -> list[dict[str, Any]]:
     trained, error = learn(arm, feature, duration_s)
     simulation = _simulation(arm, feature)
     kind, chain = simulation.kind, simulation.world.chain
-    if isinstance(kind, Pose):
-        kind = replace(kind, task_axes=TASKS.get(chain.joints, kind.task_axes))
+    axes = {"task_axes": TASKS[chain.joints]} if chain.joints in TASKS else {}
+    kind = KindConfig.from_values({**kind.values, **axes}).kind
     best = scheme("best")
     variant = Trial(
         best,
