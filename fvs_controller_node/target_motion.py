@@ -18,7 +18,7 @@ from math import inf
 from operator import itemgetter
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from fvs_ros.filter import NoiseVariance
 from fvs_ros.kinds import Kind
@@ -195,7 +195,7 @@ def _polynomial(times_s: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, fl
 @cache
 def _significant(d: int) -> float:
     """The mean square of d coordinates of noise, over its variance, that is that rare."""
-    return float(chi2.isf(1.0 / _ONCE_IN, d)) / d
+    return float(chdtri(d, 1.0 / _ONCE_IN)) / d  # chi-square; scipy.stats takes long to import
 
 
 def on_own_clock(stamp_s: float, now_s: float) -> float:
