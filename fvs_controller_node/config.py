@@ -21,14 +21,16 @@ from fvs_ros.view import ViewConfig
 
 #: The control laws by name. A new law is one file in this folder and one line here, or an entry
 #: point ``fvs_ros.laws`` of another package.
-LAWS: dict[str, type[ControlLaw]] = {
-    **registered("laws"),
-    "ftsm": FtsmLaw,
-    "proportional": ProportionalLaw,
-    "mfac": MfacLaw,
-    "mpc": MpcLaw,
-    "minimum_time": MinimumTimeLaw,
-}
+LAWS: dict[str, type[ControlLaw]] = registered(
+    "laws",
+    {
+        "ftsm": FtsmLaw,
+        "proportional": ProportionalLaw,
+        "mfac": MfacLaw,
+        "mpc": MpcLaw,
+        "minimum_time": MinimumTimeLaw,
+    },
+)
 
 
 @dataclass(frozen=True)

@@ -20,16 +20,18 @@ from fvs_ros.paths import find_file, registered
 from fvs_ros.pixel_chain import PixelChains
 
 #: Likewise an entry point ``fvs_ros.estimators`` of another package.
-ESTIMATORS: dict[str, type[Any]] = {
-    **registered("estimators"),
-    "rbf": RbfEstimator,
-    "frozen": FrozenRbfEstimator,
-    "rbf_left": TurnedRbfEstimator,
-    "poe": PoeEstimator,
-    "lkf": LkfEstimator,
-    "ukf": UkfEstimator,
-    "rls": RlsEstimator,
-}
+ESTIMATORS: dict[str, type[Any]] = registered(
+    "estimators",
+    {
+        "rbf": RbfEstimator,
+        "frozen": FrozenRbfEstimator,
+        "rbf_left": TurnedRbfEstimator,
+        "poe": PoeEstimator,
+        "lkf": LkfEstimator,
+        "ukf": UkfEstimator,
+        "rls": RlsEstimator,
+    },
+)
 #: In place of those, with the camera on the arm, and for what is no rigid body.
 _ON_ARM: dict[str, type[Any]] = {"poe": OnArmPoeEstimator}
 _NOT_RIGID: dict[str, type[Any]] = {"poe": PixelPoeEstimator}

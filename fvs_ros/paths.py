@@ -93,20 +93,25 @@ def program(module: str, dies_with_parent: bool = False) -> list[str]:
     return [sys.executable, "-c", _RUN.format(module=module, first=first)]
 
 
-def registered(registry: str) -> dict[str, Any]:
-    """What installed packages add to a registry: their entry points ``fvs_ros.REGISTRY``.
+def registered(registry: str, own: dict[str, Any]) -> dict[str, Any]:
+    """A registry with what installed packages add: their entry points ``fvs_ros.REGISTRY``.
 
-    What cannot be imported is said and left out.
+    What cannot be imported is said and left out; a ``ValueError`` if a name is taken.
     """
     added = {}
     for point in metadata.entry_points(group=f"{PACKAGE}.{registry}"):
+        if point.name in own:
+            raise ValueError(
+                f"{point.group}: {point.name} = {point.value} has the name of {PACKAGE}'s "
+                f"{own[point.name].__name__}: give it another, or uninstall its package"
+            )
         try:
             added[point.name] = point.load()
         except Exception as error:  # whatever a package of others raises
             warn(
                 f"{point.group}: {point.name} = {point.value} is left out: {error!r}", stacklevel=2
             )
-    return added
+    return {**added, **own}
 
 
 def version() -> str:
