@@ -175,6 +175,8 @@ def _override(path: Path, sections: Scenario, override: str) -> None:
         every = {parameter.name for each in sections for parameter in _declared(each)}
         kind = f"parameter of {path.name} ({', '.join(sections)})"
         raise ValueError(unknown(kind, name, sorted(every)))
+    if name == "output_path" and len(targets) > 1:  # they would write the same file
+        raise ValueError(f"{name} is of {' and of '.join(targets)}: write {targets[0]}:{override}")
     try:
         value = read_yaml(text)
     except ValueError as error:

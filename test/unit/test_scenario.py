@@ -40,6 +40,12 @@ def test_overrides_go_to_the_nodes_that_have_the_parameter():
         ("demo", ["fvs_sim_node:law:=ftsm"], "", "unknown parameter 'law'"),
         ("demo", [], "pid", r"did you mean rbf\+pid\? known are proposed, rbf\+pid"),
         ("collect", [], "proposed", "needs fvs_estimator_node and fvs_controller_node, which coll"),
+        (
+            "calibrate",
+            ["output_path:=a"],
+            "",
+            "of fvs_calibrate_node: write fvs_collector_node:outp",
+        ),
         ("nowhere.yaml", [], "", r"no file nowhere\.yaml; looked in .*config"),
     ],
 )
