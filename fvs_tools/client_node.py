@@ -20,7 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from functools import partial
 from math import inf, nan
 from typing import Any, NamedTuple
@@ -38,6 +38,7 @@ from std_srvs.srv import Trigger
 from fvs_ros import ros, stop, topics
 from fvs_ros.arguments import Parser
 from fvs_ros.kinds import KindConfig
+from fvs_ros.status import number
 
 #: A service answers within this time, s, or nobody is there.
 _ANSWER_S = 10.0
@@ -191,19 +192,23 @@ class ServoClient:
 
     # ---- how ----------------------------------------------------------------------------------
 
-    def _send_target(self, numbers: Sequence[float], frame: str, *start: Any) -> None:
-        """Send a target, and start once the controller has accepted it."""
+    def read_target(self, numbers: Sequence[float]) -> tuple[KindConfig, np.ndarray]:
+        """What the controller servos, and the target, (m,), in these numbers; sends nothing."""
         names = [parameter.name for parameter in KindConfig.declared()]
         answer = self._ask(GetParameters, "get_parameters", GetParameters.Request(names=names))
         values = map(parameter_value_to_python, answer.values)
         config = KindConfig.from_values(dict(zip(names, values, strict=True)))
-        kind, frame = config.kind, frame or config.feature_frame
         try:
-            z = kind.parse(np.array(numbers, dtype=float))
+            return config, config.kind.parse(np.array(numbers, dtype=float))
         except ValueError as error:
-            raise ServoError(f"the target of a {kind.what} {error}") from None
+            raise ServoError(f"the target of a {config.kind.what} {error}") from None
+
+    def _send_target(self, numbers: Sequence[float], frame: str, *start: Any) -> None:
+        """Send a target, and start once the controller has accepted it."""
+        config, z = self.read_target(numbers)
+        frame = frame or config.feature_frame
         stamp_s = self._node.get_clock().now().nanoseconds * 1e-9
-        for part, rows in zip(kind.parts, kind.rows, strict=True):
+        for part, rows in zip(config.kind.parts, config.kind.rows, strict=True):
             message = ros.to_feature(stamp_s, frame, part, z[rows])
             self._publish_target(part.topics.target, message)
         self._start(*start)
@@ -268,11 +273,8 @@ class ServoClient:
             if reached:
                 self.stop()
             if reached or late or values.get("started") == "false":
-                error_m = nan
-                with suppress(ValueError):  # it may be unknown
-                    error_m = float(values.get("error_m", ""))
                 why = f"{timeout_s:g} s are over: {why}" if late else why
-                return Result(reached, error_m, passed_s, why)
+                return Result(reached, number(values, "error_m"), passed_s, why)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         self._status = message
@@ -340,32 +342,34 @@ def main(verb: str = "") -> int:
             given.words = [float(word) for word in given.words]
         except ValueError as error:
             parser.error(f"a target has numbers: {error}")
+    if not given.timeout_s > 0.0:
+        parser.error(f"--timeout-s must be above 0, got {given.timeout_s:g}")
     stop.listen()
+    done = False
     try:
         with closing(ServoClient(namespace=given.namespace)) as client:
-            return _do(client, given)
+            done = _do(client, given)
     except ServoError as error:
         print(error, file=sys.stderr)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-    return stop.EXIT_FAILURE
+    return stop.EXIT_OK if done else stop.EXIT_FAILURE
 
 
-def _do(client: ServoClient, given: argparse.Namespace) -> int:
-    if given.verb == "stop":
-        print(client.stop())
-    elif given.verb == "teach":
-        print(client.teach(*given.words))
-    else:
-        done = False
-        try:
-            done = _move(client, given)
-        finally:
-            if not done or stop.RECEIVED:
-                stop.RECEIVED.clear()  # the next signal ends the wait for the answer, too
-                print(client.stop())
-        return stop.EXIT_OK if done else stop.EXIT_FAILURE
-    return stop.EXIT_OK
+def _do(client: ServoClient, given: argparse.Namespace) -> bool:
+    if given.verb in ("stop", "teach"):
+        print(getattr(client, given.verb)(*given.words))
+        return True
+    if given.verb == "target":
+        client.read_target(given.words)  # what is none ends here: nothing to stop
+    done = False
+    try:
+        done = _move(client, given)
+    finally:
+        if not done or stop.RECEIVED:
+            stop.RECEIVED.clear()  # the next signal ends the wait for the answer, too
+            print(client.stop())
+    return done
 
 
 def _move(client: ServoClient, given: argparse.Namespace) -> bool:

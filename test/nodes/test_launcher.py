@@ -162,6 +162,7 @@ REFUSED = [
     (MODULE, ["ur5_real"], "\n  fvs_launch ur5_real_collect --train out/ur5_real/model.npz\n"),
     ("fvs_tools.demo_node", ros_arguments(output_dir="/proc/no"), "cannot be written"),
     ("fvs_tools.calibrate_node", ros_arguments(output_path="/proc/c.yaml"), "cannot be written"),
+    ("fvs_tools.client_node", ["go", "grasp", "--timeout-s", "nan"], "must be above 0, got nan"),
     (SERVO, ["left", "right", "right"], "/right/fvs_controller_node, /right/fvs_est"),
     (SERVO, ["a", "b", "--ros-args", "-r", "__ns:=/lab"], "neither __ns nor __node may be"),
     (SERVO, ["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "unknown parameter 'method'"),
