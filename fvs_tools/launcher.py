@@ -9,7 +9,6 @@ stop.listen()
 import argparse
 import contextlib
 import importlib.util
-import json
 import os
 import shlex
 import signal
@@ -255,43 +254,40 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-#: Parameters that a model is made for, by whether the arm is simulated.
-_OF_MODEL = {
-    True: ("feature", "camera_mount", "cameras", "robot", "urdf_path"),
-    False: ("feature", "camera_mount", "cameras", "joint_names"),
-}
-_QUOTE = '"'
-
-
 def _check(scenario: Scenario, arguments: argparse.Namespace) -> None:
     """Refuse, before a node starts, what cannot run: without PyBullet, or with a wrong model.
 
     The ``ValueError`` says what to install, or the commands that make a right model.
     """
-    if topics.SIM in scenario and importlib.util.find_spec("pybullet") is None:
+    simulated = topics.SIM in scenario
+    if simulated and importlib.util.find_spec("pybullet") is None:
         raise ValueError(NEEDS_PYBULLET)
-    values, name = scenario.get(topics.ESTIMATOR, {}), arguments.scenario
+    if topics.ESTIMATOR not in scenario:
+        return
+    values, name = scenario[topics.ESTIMATOR], arguments.scenario
     try:
-        if topics.ESTIMATOR in scenario:
-            check_estimator(values)
+        check_estimator(values)
     except ValueError as error:
-        collect = f"{name}_collect"
-        if collect not in scenario_names():
-            collect = "collect_minute" if topics.SIM in scenario else "ur5_real_collect"
+        usual = "collect_minute" if simulated else "ur5_real_collect"
+        collect = f"{name}_collect" if f"{name}_collect" in scenario_names() else usual
         missing = isinstance(error.__cause__, FileNotFoundError)  # else the file stays
-        model = shlex.quote(values["model_path"]) if missing else "out/model.npz"
+        model = values["model_path"] if missing else "out/model.npz"
         same = [each for each in arguments.param if "model_path:=" not in each]
         # What the scenario's file sets holds for the collector, too.
         own = {**scenario.get(topics.SIM, {}), **values}
-        usual = load_scenario(collect)[topics.COLLECTOR]
-        keys = _OF_MODEL[topics.SIM in scenario]
-        fixed = {key: own[key] for key in keys if own.get(key, usual.get(key)) != usual.get(key)}
-        learn = [*(f"{key}:={json.dumps(fixed[key]).strip(_QUOTE)}" for key in fixed), *same]
+        usually = load_scenario(collect)[topics.COLLECTOR]
+        arm = ("robot", "urdf_path") if simulated else ("joint_names",)
+        learn = [
+            f"{key}:={own[key]}".replace("'", "")  # of a list's elements
+            for key in ("feature", "camera_mount", "cameras", *arm)
+            if own.get(key, usually.get(key)) != usually.get(key)
+        ]
+        learn += [each for each in same if _takes(collect, each)]
         scheme = f" --scheme {arguments.scheme}" if arguments.scheme else ""
         raise ValueError(
-            f"{error}. A minute of motion gives one that fits:\n  fvs_launch {collect} "
-            f"--train {model}{_words(each for each in learn if _takes(collect, each))}\n"
-            f"  fvs_launch {name}{scheme}{_words(same)} -p model_path:={model}"
+            f"{error}. A minute of motion gives one that fits:\n"
+            f"  fvs_launch {collect} --train {shlex.quote(model)}{_words(learn)}\n"
+            f"  fvs_launch {name}{scheme}{_words([*same, f'model_path:={model}'])}"
         ) from error
 
 
