@@ -366,12 +366,7 @@ class ServoLoop:
     def tick(self, now_s: float, dt_s: float) -> Command:
         """Decide on the command for this tick.
 
-        Parameters
-        ----------
-        now_s : float
-            Steady clock, s.
-        dt_s : float
-            What the tick counts for, s: the time until the next one.
+        ``now_s`` is the steady clock, ``dt_s`` what the tick counts for: the time until the next.
         """
         dt_s, self.sliding_variable = tick_s(dt_s), None
         present = self._present(now_s)

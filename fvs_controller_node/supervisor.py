@@ -105,12 +105,8 @@ class Supervisor:
     def start(self, now_s: float) -> tuple[bool, str]:
         """Begin to servo; or, while held near a singularity, let the arm leave it slowly.
 
-        Returns
-        -------
-        bool
-            Whether the arm servoes, or will when an input that is late comes back.
-        str
-            What was done, or why not.
+        Returns whether the arm servoes, or will when an input that is late comes back; and what was
+        done, or why not.
         """
         finding = self._objection(now_s)
         if finding is not None and finding.reason is Reason.NEAR_SINGULAR:

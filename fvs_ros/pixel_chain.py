@@ -49,21 +49,10 @@ class Webcam:
         return cls(focal_px, (u_px, v_px), *others)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pixels of points, and their derivatives.
+        """Pixels, (..., 2), of points in the camera's frame, (..., 3), and their derivatives.
 
-        Parameters
-        ----------
-        points : ndarray, shape (..., 3)
-            Points in the camera's frame; one that is not before it is far out of the picture.
-
-        Returns
-        -------
-        pixels : ndarray, shape (..., 2)
-            u and v, px.
-        by_point : ndarray, shape (..., 2, 3)
-            Derivatives by the point.
-        by_lens : ndarray, shape (..., 2, 4)
-            Derivatives by the logarithm of f, by c and by k1.
+        The latter are by the point, (..., 2, 3), and by the logarithm of f, by c and by k1,
+        (..., 2, 4). A point that is not before the camera is far out of the picture.
         """
         depth = np.maximum(points[..., 2:], _CLOSEST)
         ray = points[..., :2] / depth

@@ -88,16 +88,9 @@ def kind_topics(
     seen_object: tuple[str, str],
     sliding_type: str = "std_msgs/msg/Float64MultiArray",
 ) -> KindTopics:
-    """Topics of a kind of feature.
+    """Topics of a kind of feature, by the names and descriptions of tool, target and object.
 
-    Parameters
-    ----------
-    message_type : str
-        Of measurement, target and truth.
-    tool, target, seen_object : tuple of str
-        Name and description.
-    sliding_type : str
-        Message type of the sliding variable.
+    Measurement, target and truth have one message type, the sliding variable has another.
     """
 
     def topic(name: str, description: str, publishers: tuple[str, ...], **more: Any) -> Topic:

@@ -43,21 +43,9 @@ class Track:
     def add_joints(
         self, stamp_s: float, joints_rad: np.ndarray, jacobian: np.ndarray | None
     ) -> list[Image]:
-        """Take a joint state.
+        """Take a joint state, s and rad, (n,), no jump, and the newest Jacobian, m/rad, (d, n).
 
-        Parameters
-        ----------
-        stamp_s : float
-            Its stamp, s.
-        joints_rad : ndarray, shape (n,)
-            Positions, rad; without jumps.
-        jacobian : ndarray, shape (d, n), or None
-            Newest Jacobian, m/rad; without one every image is accepted.
-
-        Returns
-        -------
-        list of Image
-            The images that waited for it and are accepted.
+        Returns the images that waited for it and are accepted; without a Jacobian all are.
         """
         before, n = self.timeline.joints.newest, len(joints_rad)
         moved_m = np.zeros(self.kind.size) if before is None else before[n:]
