@@ -7,6 +7,7 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
+from collections.abc import Generator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,12 +31,11 @@ class DemoNode(ros.FvsNode):
 
     def __init__(self) -> None:
         super().__init__("fvs_demo_node", demo.PARAMETERS)
-        self._config = demo.DemoConfig.from_values(self.values)
-        config = self._config
+        self._config = config = demo.DemoConfig.from_values(self.values)
         self._kind = kind = config.kind
         self._figure = output_file(Path(config.output_dir) / "demo.png")
         self._trained = load_model(find_file(config.model_path or kind.model), expected=config)
-        self._rng = np.random.default_rng(self._config.seed)
+        self._rng = np.random.default_rng(config.seed)
         self._joint_map = JointMap(self._trained.joint_names, config.tf_prefix)
         self._records: list[demo.TargetRecord] = []
         self._state = self._reason = ""
@@ -51,14 +51,12 @@ class DemoNode(ros.FvsNode):
         for camera, truth in enumerate(part.truth for part in kind.parts):
             on_truth = partial(self._on_truth, camera)
             self.watch(ros.message_class(truth.type), truth.name, on_truth, ros.QOS_EVERY)
-        self._chooses = True  # the next target, once the last one's time is over
-        self._taught: np.ndarray | None = None  # truly, in the object's frame
+        self._task = self._run()
+        next(self._task)
         if config.relative:
-            self._tool: tuple[float, np.ndarray] | None = None  # newest truth, and its stamp
             self._operator = Services(self, partial(print, flush=True))
-            self._asked_s, self._jumps = -np.inf, False
-            self._object_home: dict[str, Any] = {}
         if config.relative and not kind.on_arm:
+            self._tool: tuple[float, np.ndarray] | None = None  # newest truth, and its stamp
             kind_of_message = ros.message_class(object_truth.type)
             self.watch(kind_of_message, object_truth.name, self._on_object_truth, ros.QOS_EVERY)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
@@ -113,62 +111,53 @@ class DemoNode(ros.FvsNode):
 
     def _take(self, stamp_s: float, z: np.ndarray) -> None:
         """Take the truth, in the camera's or the object's frame."""
-        if self.exit_code is not None:
-            return
-        if self._chooses:
-            # The controller lacks only a target: the loop is ready for the first one.
-            if self._records or self._wants_target or self._taught is not None:
-                self._next_target(stamp_s, z)
-            return
-        record = self._records[-1]
-        record.truths.append((stamp_s - record.start_s, z))
-        if record.truths[-1][0] >= self._config.target_s:
-            self._report(len(self._records), record)
-            self._chooses = len(self._records) < self._config.targets
-            if self._chooses:
-                self._next_target(stamp_s, z)
-            else:
-                self._conclude()
+        if self.exit_code is None:
+            self._task.send((stamp_s, z))
 
     # --- the task ---
 
-    def _next_target(self, stamp_s: float, z: np.ndarray) -> None:
-        kind, config = self._kind, self._config
-        target = self._relative_target(z) if config.relative else self._absolute_target(stamp_s, z)
-        if target is not None:
-            self._chooses = False
-            self._records.append(demo.TargetRecord(kind, target, stamp_s, truths=[(0.0, z)]))
+    def _run(self) -> Generator[None, tuple[float, np.ndarray], None]:
+        """One target after another, each scored over its time, from stamps and truths."""
+        config = self._config
+        stamp_s, z = yield
+        # The controller lacks only a target: the loop is ready for the first one.
+        while not self._wants_target:
+            stamp_s, z = yield
+        taught, asked_s, home = z, -np.inf, dict[str, Any]()
+        while config.relative and (self._wants_target or not home):
+            if self._wants_target:
+                taught, now_s = z, self.steady_s()
+                if now_s - asked_s > 0.5:  # the images of a second come first
+                    asked_s = now_s
+                    self._operator.ask(topics.SIM, demo.OBJECT, home.update)
+                    self._operator.call(
+                        f"{topics.CONTROLLER}/teach", f"{topics.CONTROLLER}/go_to_reference"
+                    )
+            stamp_s, z = yield
+        for number in range(1, config.targets + 1):
+            if config.relative:
+                jump = demo.jump_of_object(home, self._kind, self._rng)
+                for name, value in jump.items():
+                    self._operator.set(f"{topics.SIM}/{name}", value)
+                while length(self._kind.minus(z, taught)) < 0.01:
+                    stamp_s, z = yield
+            target = taught if config.relative else self._send_target(stamp_s, z)
+            record = demo.TargetRecord(self._kind, target, stamp_s, truths=[(0.0, z)])
+            self._records.append(record)
+            while record.truths[-1][0] < config.target_s:
+                stamp_s, z = yield
+                record.truths.append((stamp_s - record.start_s, z))
+            self._report(number, record)
+        self._conclude()
+        yield
 
-    def _absolute_target(self, stamp_s: float, z: np.ndarray) -> np.ndarray:
+    def _send_target(self, stamp_s: float, z: np.ndarray) -> np.ndarray:
         target = self._trained.target(z, self._config.distance_m, self._rng)
         frame = self._config.feature_frame
         parts = np.split(target, len(self._targets))
         for publisher, part in zip(self._targets, parts, strict=True):
             publisher.publish(ros.to_feature(stamp_s, frame, self._kind, part))
         return target
-
-    def _relative_target(self, z: np.ndarray) -> np.ndarray | None:
-        """Teach first, then let the object jump; None until it has."""
-        now_s = self.steady_s()
-        if self._wants_target:
-            self._taught = z
-            if now_s - self._asked_s > 0.5:  # the images of a second come first
-                self._asked_s = now_s
-                self._operator.ask(topics.SIM, demo.OBJECT, self._object_home.update)
-                self._operator.call(
-                    f"{topics.CONTROLLER}/teach", f"{topics.CONTROLLER}/go_to_reference"
-                )
-            return None
-        if self._object_home and not self._jumps:
-            self._jumps = True
-            jump = demo.jump_of_object(self._object_home, self._kind, self._rng)
-            for name, value in jump.items():
-                self._operator.set(f"{topics.SIM}/{name}", value)
-        assert self._taught is not None
-        if length(self._kind.minus(z, self._taught)) < 0.01:
-            return None
-        self._jumps = False
-        return self._taught
 
     def _report(self, number: int, record: demo.TargetRecord) -> None:
         score = record.score()
