@@ -63,10 +63,6 @@ _OTHER_RAD = np.radians(10.0)
 _SIGMAS = 5.0
 
 
-class CalibrationError(ValueError):
-    """Data that no camera can be calibrated from; the text says why."""
-
-
 def calibrate(data: DataSet, arm: Kinematics, camera_on_arm: bool = False) -> Estimate:
     """Find the camera in the arm's frame.
 
@@ -82,7 +78,7 @@ def calibrate(data: DataSet, arm: Kinematics, camera_on_arm: bool = False) -> Es
 
     Raises
     ------
-    CalibrationError
+    ValueError
         If there are too few images, a joint is missing, all but one are still, or nothing fits.
     """
     arm = arm.reversed() if camera_on_arm else arm
@@ -90,12 +86,12 @@ def calibrate(data: DataSet, arm: Kinematics, camera_on_arm: bool = False) -> Es
     estimate = solve(data, arm)
     delay_s = np.clip(estimate.mean.delay_s.item(), -MAX_OFFSET_S, MAX_OFFSET_S)
     if abs(delay_s) > 0.95 * MAX_OFFSET_S:
-        raise CalibrationError(
+        raise ValueError(
             f"the images are stamped {delay_s:+.2f} s late, or more: correct their stamps"
         )
     spread_m = np.median(np.linalg.norm(data.z[:, :3] - data.z[:, :3].mean(axis=0), axis=1))
     if estimate.median_residual_m > _UNEXPLAINED * spread_m:
-        raise CalibrationError(
+        raise ValueError(
             f"no arm with the joints {', '.join(arm.names)[:200]} explains the images: check tip "
             f"link ({arm.tip}), joint units, names and directions, and that camera and target "
             "stayed fixed"
@@ -106,16 +102,12 @@ def calibrate(data: DataSet, arm: Kinematics, camera_on_arm: bool = False) -> Es
 def _ordered(data: DataSet, arm: Kinematics) -> DataSet:
     """The data with the joints of the URDF, in its order."""
     if data.feature_frame in ("", arm.root):
-        raise CalibrationError(
-            f"ball or tag has the frame {data.feature_frame!r}, expected the camera's"
-        )
+        raise ValueError(f"ball or tag has the frame {data.feature_frame!r}, expected the camera's")
     if not (plausible(data.z) and plausible(arm.points_m)):
-        raise CalibrationError(
-            f"the images or the URDF have positions above {LARGEST:g} m: metres?"
-        )
+        raise ValueError(f"the images or the URDF have positions above {LARGEST:g} m: metres?")
     missing = [name for name in arm.names if name not in data.joint_names]
     if missing:
-        raise CalibrationError(
+        raise ValueError(
             f"the data lack {', '.join(missing)[:200]}, which move {arm.tip} in the URDF; they "
             f"hold {', '.join(data.joint_names)[:400]}"
         )
@@ -124,12 +116,12 @@ def _ordered(data: DataSet, arm: Kinematics) -> DataSet:
         name for name, size in zip(arm.names, joints.std(axis=0), strict=True) if size < _STILL
     ]
     if len(still) > len(arm.names) - 2:
-        raise CalibrationError(f"{', '.join(still)[:200]} never moved: move every joint")
+        raise ValueError(f"{', '.join(still)[:200]} never moved: move every joint")
     least = 2 * (12 + data.kind.numbers) // data.kind.numbers  # twice the start's unknowns
     if len(data) < least:
-        raise CalibrationError(f"there are {len(data)} images, expected at least {least}")
+        raise ValueError(f"there are {len(data)} images, expected at least {least}")
     if len(joint_path.Path(data).indices) < least:
-        raise CalibrationError(
+        raise ValueError(
             f"images follow each other by more than {MAX_GAP_S:g} s: take them faster, or, if the "
             "arm rests at each, leave out their stamps"
         )
