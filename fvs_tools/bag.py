@@ -30,11 +30,6 @@ class Message(NamedTuple):
     data: bytes
 
 
-def knows(message_type: str) -> bool:
-    """Whether messages of a type can be described in a bag."""
-    return message_type in TYPES.fielddefs
-
-
 class SimulatedTime:
     """Restamps messages with the simulated time of their arrival, from ``/clock``.
 

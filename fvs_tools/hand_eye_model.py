@@ -88,12 +88,8 @@ class HandEyeModel:
     def features(self, values: np.ndarray, images: np.ndarray | slice = slice(None)) -> np.ndarray:
         """What images show, (k, m), at a vector of unknowns, (p,)."""
         unknowns = self.unknowns(values)
-        joints = self.path.joints_and_velocities(unknowns.delay_s.item())[0][images]
-        return self.at(joints, unknowns)
-
-    def at(self, reported_rad: np.ndarray, unknowns: Unknowns) -> np.ndarray:
-        """What the camera shows, (k, m), at reported joints, rad (m), (k, n)."""
-        joints = (1.0 + unknowns.encoders) * reported_rad + unknowns.zeros
+        reported = self.path.joints_and_velocities(unknowns.delay_s.item())[0][images]
+        joints = (1.0 + unknowns.encoders) * reported + unknowns.zeros
         return self._shown(self._chain(unknowns)[0].position(joints), unknowns)
 
     def _shown(

@@ -27,7 +27,6 @@ from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_sim_node.robot import NEEDS_PYBULLET
 from fvs_tools.scenario import (
     NODE_TABLE,
-    RECORDER,
     Scenario,
     check_estimator,
     load_scenario,
@@ -130,7 +129,7 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
                 if stop.RECEIVED or first is not None:
                     break
                 processes.append(_Process(name, common, params.fileno(), terminal))
-                if name == RECORDER:
+                if name == topics.RECORDER:
                     first = _await_bag(processes[-1], scenario[name]["bag_dir"])
             if first is None:
                 _say(f"started {', '.join(process.name for process in processes)}")
@@ -310,14 +309,14 @@ def main(argv: list[str] | None = None) -> int:
             arguments.scenario, arguments.param, arguments.scheme, arguments.record
         )
         _check(scenario, arguments)
-        if arguments.train and topics.COLLECTOR not in scenario:
-            raise ValueError(f"--train: {arguments.scenario} starts no {topics.COLLECTOR}")
         if arguments.train:
+            if topics.COLLECTOR not in scenario:
+                raise ValueError(f"--train: {arguments.scenario} starts no {topics.COLLECTOR}")
             output_file(arguments.train)
     except (ValueError, OSError) as error:
         print(f"fvs_launch: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
-    if "fvs_sim_node" in scenario:
+    if topics.SIM in scenario:
         # A simulated arm must not exchange messages with the robots of a laboratory network.
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     code = launch(scenario, arguments.namespace, arguments.remap)

@@ -124,7 +124,7 @@ class RecorderNode(ros.FvsNode):
             kind = ros.message_class(message_type)
         except (ImportError, AttributeError):  # its package is not installed
             return False
-        if not bag.knows(message_type):
+        if message_type not in bag.TYPES.fielddefs:
             return False
         subscriptions = self._topics.setdefault(topic, _Topic(message_type)).subscriptions
         reliable = offer.reliability == ReliabilityPolicy.RELIABLE

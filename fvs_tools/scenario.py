@@ -26,7 +26,6 @@ from fvs_tools.recording import check_recording
 from fvs_tools.schemes import scheme
 
 ALL_NODES = "/**"
-RECORDER = topics.RECORDER
 #: What rclpy declares for every node.
 _EVERYWHERE = Parameter("use_sim_time", False, "follow /clock")
 
@@ -66,7 +65,7 @@ NODE_TABLE: dict[str, NodeEntry] = {
     topics.DASHBOARD: NodeEntry(
         "fvs_dashboard.dashboard_node", "fvs_dashboard.config", observer=True
     ),
-    RECORDER: NodeEntry("fvs_tools.recorder_node", "fvs_tools.recording", observer=True),
+    topics.RECORDER: NodeEntry("fvs_tools.recorder_node", "fvs_tools.recording", observer=True),
 }
 
 
@@ -87,8 +86,8 @@ def load_scenario(
         raise ValueError(f"scenario {path} names no node; known are {', '.join(NODE_TABLE)}")
     if record:
         check_recording(Path(record).expanduser())
-        recorder = {**sections.pop(RECORDER, {}), "bag_dir": record}
-        sections = {RECORDER: recorder, **sections}
+        recorder = {**sections.pop(topics.RECORDER, {}), "bag_dir": record}
+        sections = {topics.RECORDER: recorder, **sections}
     for node, values in sections.items():
         if node not in NODE_TABLE:
             raise ValueError(f"scenario {path}: {unknown('node', node, NODE_TABLE)}")
@@ -102,8 +101,8 @@ def load_scenario(
         _override(path, sections, override)
     if record:
         if any(values.get("use_sim_time") for values in sections.values()):
-            sections[RECORDER]["use_sim_time"] = True
-        sections[RECORDER]["scenario"] = params_yaml({node: sections[node] for node in loop})
+            sections[topics.RECORDER]["use_sim_time"] = True
+        sections[topics.RECORDER]["scenario"] = params_yaml({node: sections[node] for node in loop})
     for node, values in sections.items():
         try:
             sections[node] = _declared(node).checked(values)

@@ -15,7 +15,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 
 from fvs_ros import ros
 from fvs_ros.kinds.ball import Ball
-from fvs_tools.scenario import RECORDER as NAME
+from fvs_ros.topics import RECORDER as NAME
 
 pytest.importorskip("rosbags")
 

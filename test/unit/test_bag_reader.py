@@ -156,8 +156,8 @@ def test_a_lost_part_is_said_and_the_rest_is_read(tmp_path, whole):
 
 
 def test_a_recorder_that_cannot_begin_ends_the_launch(tmp_path, monkeypatch, capfd):
-    entry = replace(launcher.NODE_TABLE[launcher.RECORDER], module="no_such_module")
-    monkeypatch.setitem(launcher.NODE_TABLE, launcher.RECORDER, entry)
+    entry = replace(launcher.NODE_TABLE[launcher.topics.RECORDER], module="no_such_module")
+    monkeypatch.setitem(launcher.NODE_TABLE, launcher.topics.RECORDER, entry)
     monkeypatch.setattr(launcher.stop, "RECEIVED", [])
     assert launcher.main(["servo", "--record", str(tmp_path / "bag")]) == 1
     printed = capfd.readouterr().out
