@@ -27,12 +27,9 @@ class DetectorNode(ros.FvsNode):
         self._watches = {name: CameraWatch(self, part) for name, part in config.parts.items()}
         # Log delay: discovery of a camera takes a moment, and a barely visible ball flickers.
         self._logged, self._logged_s = "", self.now_s()
-        self.create_timer(1.0, self._look_for_cameras, clock=self.steady_clock)
-        self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
-
-    def _look_for_cameras(self) -> None:
         for watch in self._watches.values():
-            watch.look_for_camera()
+            self.create_timer(1.0, watch.look_for_camera, clock=self.steady_clock)
+        self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take changed parameters into use at once."""
