@@ -94,11 +94,8 @@ class TagReader:
         for quad, number in zip(quads, numbers, strict=True):
             if number not in self.tag.faces:
                 continue
-            if numbers.count(number) > 1:
-                return (
-                    {},
-                    f"{numbers.count(number)} tags have the number {number}: cover all but one",
-                )
+            if (count := numbers.count(number)) > 1:
+                return {}, f"{count} tags have the number {number}: cover all but one"
             corners = self._patterns[number].fit(grey, quad.reshape(4, 2))
             if corners is None:
                 problem = "the tag's pattern is not clear: is it covered, or the light too poor?"

@@ -376,13 +376,12 @@ class _Fitting:
         begin: _Optimum,
         whitening: np.ndarray,
         images: np.ndarray,
-        scale: float = 2.0,
         evaluations: int = 100,
     ) -> _Optimum:
         """The robust optimum for some images.
 
-        The prior holds coordinates that the data do not determine. Residuals above ``scale``
-        standard deviations have a decreasing weight.
+        The prior holds coordinates that the data do not determine. Residuals above two standard
+        deviations have a decreasing weight.
         """
         chart = Chart(begin.chain)
         deviation = np.full(chart.size, _PRIOR)
@@ -412,7 +411,7 @@ class _Fitting:
             lambda values: white(values.tobytes())[1],
             bounds=(-limit, limit),
             loss="soft_l1",
-            f_scale=scale,
+            f_scale=2.0,
             max_nfev=evaluations,
             ftol=1e-6,
             xtol=1e-7,

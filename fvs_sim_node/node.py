@@ -157,18 +157,16 @@ class SimNode(ros.FvsNode):
             if self._simulated_s() - answered_s > _ANSWERS.get(topic, _DETECTED_S)
         ]
         # A busy computer keeps a node from running for less than three seconds. A node without a
-        # response for longer counts as ended, until it responds again.
+        # response for longer counts as ended, until it responds again. The first command of one
+        # that publishes them is on its way.
         waited_s = self.steady_s() - self._stepped_s
-        if (late and waited_s < 3.0) or (waited_s < _FIRST_S and self._awaits_command()):
+        awaits_first = waited_s < _FIRST_S and not self._commanded and self._has_commander()
+        if awaits_first or (late and waited_s < 3.0):
             return True
         for topic in late:
             del self._answered_s[topic]
             self._late += 1
         return False
-
-    def _awaits_command(self) -> bool:
-        """Whether a node publishes commands, and the first is still on its way."""
-        return not self._commanded and self._has_commander()
 
     def _has_commander(self) -> bool:
         return self.count_publishers(self.resolve_topic_name(self._command_topic.name)) > 0
