@@ -78,6 +78,8 @@ class OnlineEstimator(Estimator):
     config_type = OnlineConfig
     group = "online"
     made_from = NETWORKS
+    #: Whether the covariance is that of all entries, (d n, d n), or that of each row, (n, n).
+    of_all_entries = False
 
     def __init__(
         self, model: RbfModel | None = None, config: Any = None, kind: Kind | None = None
@@ -107,7 +109,8 @@ class OnlineEstimator(Estimator):
             if not np.all(np.isfinite(start)):
                 return start
             self._jacobian = start
-            self.covariance = self.config.initial_variance * np.eye(self._entries(*start.shape))
+            size = start.size if self.of_all_entries else len(joints_rad)
+            self.covariance = self.config.initial_variance * np.eye(size)
         return self._jacobian.copy()
 
     def update(self, step: MotionStep) -> None:
@@ -123,10 +126,6 @@ class OnlineEstimator(Estimator):
                     self.updates += 1
                     return
         self.refused += 1
-
-    @abstractmethod
-    def _entries(self, m: int, n: int) -> int:
-        """Size of the covariance of an m x n Jacobian."""
 
     def _predicted(self, covariance: np.ndarray, dt_s: float) -> np.ndarray:
         """The covariance before the next step, with what may have changed in a time, s."""
@@ -163,9 +162,6 @@ class LkfEstimator(OnlineEstimator):
     stays ``I (x) P`` with one n x n P: one small filter, not an approximation.
     """
 
-    def _entries(self, _m: int, n: int) -> int:
-        return n
-
     def _learned(
         self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -190,8 +186,7 @@ class UkfEstimator(OnlineEstimator):
     is the mean, and counts for nothing.
     """
 
-    def _entries(self, m: int, n: int) -> int:
-        return m * n
+    of_all_entries = True
 
     def _learned(
         self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
