@@ -48,7 +48,7 @@ _OWN_CLOCK_S = 0.2
 
 
 class Update(Enum):
-    """Kinds of position updates."""
+    """Kinds of position updates; of several cameras' the first of these counts."""
 
     NEW = "another target"
     CONTINUED = "the motion goes on"
@@ -243,11 +243,7 @@ class TargetMotions:
             for i, (motion, rows) in enumerate(zip(self._each, self._rows, strict=True))
             if camera in (None, i)
         }
-        return next(
-            update
-            for update in (Update.NEW, Update.CONTINUED, Update.OVERTAKEN)
-            if update in updates
-        )
+        return next(update for update in Update if update in updates)
 
     def at(self, now_s: float) -> tuple[np.ndarray | None, np.ndarray, np.ndarray | None]:
         """As :meth:`TargetMotion.at`, of all."""
