@@ -118,12 +118,12 @@ class EstimatorNode(ros.FvsNode):
         header = getattr(message, "header", None)  # not every kind's has one
         stamp_s = ros.from_stamp(header.stamp) if header else self._stamp_s
         try:
-            sliding = ros.from_sliding(message, self._kind)
-        except ros.MessageError as error:
-            self._complain(str(error))
+            sliding_m = self._kind.read_sliding(message)
+        except ValueError as error:
+            self._complain(f"{self._kind.topics.sliding.name} {error}")
             return
         if stamp_s is not None:
-            self._loop.add_sliding_variable(stamp_s, sliding)
+            self._loop.add_sliding_variable(stamp_s, sliding_m)
 
     def _on_speed_scaling(self, message: Float64) -> None:
         self._speed_scaling = message.data

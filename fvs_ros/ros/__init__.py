@@ -11,7 +11,6 @@ from fvs_ros.ros.messages import (
     from_chain,
     from_feature,
     from_jacobian,
-    from_sliding,
     from_stamp,
     from_status,
     message_class,

@@ -101,14 +101,6 @@ def to_sliding(stamp_s: float, frame: str, kind: Kind, sliding_m: np.ndarray) ->
     return message
 
 
-def from_sliding(message: Any, kind: Kind) -> np.ndarray:
-    """Sliding variable of a message, m, (d,); a ``MessageError`` if it has not d components."""
-    try:
-        return kind.read_sliding(message)
-    except ValueError as error:
-        raise MessageError(f"{kind.topics.sliding.name} {error}") from error
-
-
 def _to_matrix(matrix: np.ndarray, row: str, column: str) -> Float64MultiArray:
     """``Float64MultiArray`` of a matrix, row-major, with the names of its dimensions."""
     rows, columns = matrix.shape
