@@ -13,6 +13,7 @@ from fvs_estimator_node.on_arm import OnArmPoeEstimator
 from fvs_estimator_node.online import LkfEstimator, RlsEstimator, UkfEstimator
 from fvs_estimator_node.pixels import PixelPoeEstimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator
+from fvs_ros.arguments import unknown
 from fvs_ros.joints import JOINT_PARAMETERS
 from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.params import Parameter, live_parameter, parameter
@@ -77,8 +78,7 @@ def create_estimator(
     lacks its model, or that a value is out of range.
     """
     if method not in ESTIMATORS:
-        known = ", ".join(sorted(ESTIMATORS))
-        raise ValueError(f"unknown estimator method {method!r}; known are {known}")
+        raise ValueError(unknown("estimator method", method, sorted(ESTIMATORS)))
     made_by = ESTIMATORS[method]
     if kind is not None:
         instead = _ON_ARM if kind.on_arm else {} if kind.rigid else _NOT_RIGID

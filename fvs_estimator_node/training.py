@@ -88,7 +88,7 @@ def train(
     with the camera's name before it; and for networks from pairs ``pair_error_m``, the rms error
     between two held-out images, with the noise of both, m.
     """
-    options = options if options is not None else TrainingOptions()
+    options, say = options or TrainingOptions(), say or (lambda words: None)
     rng = np.random.default_rng(options.seed)
     poe = options.method == "poe"
     if data.kind.on_arm and not poe:
@@ -142,14 +142,13 @@ def _of_several(
     data: DataSet,
     options: TrainingOptions,
     rng: np.random.Generator,
-    say: Callable[[str], None] | None,
+    say: Callable[[str], None],
     workers: Workers,
 ) -> TrainedModel:
     """Networks of all cameras at once, distilled from a chain before each."""
     each = list[TrainedModel]()
     for camera, part in zip(data.cameras, data.parts, strict=True):
-        if say is not None:
-            say(f"camera {camera}")
+        say(f"camera {camera}")
         try:
             each.append(train(part, options, say=say, workers=workers))
         except ValueError as error:
@@ -180,7 +179,7 @@ def _of_several(
 
 
 def _fitted(
-    data: DataSet, say: Callable[[str], None] | None, workers: Workers, needed: bool
+    data: DataSet, say: Callable[[str], None], workers: Workers, needed: bool
 ) -> tuple[AnyFit | None, str]:
     """The chain's fit, or why there is none; a ``ValueError`` if one is needed."""
     try:
@@ -201,21 +200,19 @@ def _networks(
     options: TrainingOptions,
     rng: np.random.Generator,
     progress: Progress | None,
-    say: Callable[[str], None] | None,
+    say: Callable[[str], None],
 ) -> tuple[RbfModel, dict[str, Any], dict[str, Any]]:
     """The networks, what they were trained on, and the figures of their training."""
-    poe = options.method == "poe"
-    weights = data.kind.weights
-    pairs = None if poe else Pairs(data.joints_rad, weights * data.z, rng)
-    if say is not None:
-        say("training the networks")
-    if pairs is None:
+    say("training the networks")
+    if options.method == "poe":
         assert fit is not None
         joints_rad = _joints_at_exposures(data, fit.time_offset_s)
         good = fit.inliers(replace(data, joints_rad=joints_rad))
         trained_on = range_of(joints_rad[good], data.z[good], rng)
         box_rad = trained_on["joint_box_rad"]
         return distil(fit.chain, box_rad, options.count, rng), trained_on, {}
+    weights = data.kind.weights
+    pairs = Pairs(data.joints_rad, weights * data.z, rng)
     pairs.joints = _joints_at_exposures(data, fit.time_offset_s if fit is not None else 0.0)
     iterations = options.iterations if options.method == "varpro" else 0
     weighted, good, errors = pairs.train(options.count, iterations, progress)
