@@ -71,6 +71,15 @@ def described(simulation: Simulation, values: Parameters) -> dict[str, Any]:
     return with_urdf_limits(vars(values), {joint.name: joint for joint in simulation.world.joints})
 
 
+def held_near_singular(
+    simulation: Simulation, home_rad: np.ndarray, share: float
+) -> dict[str, float]:
+    """The controller's parameter that holds an arm below a share of the value at home."""
+    home, freedom = simulation.true_jacobian(home_rad), simulation.kind.freedom
+    smallest_m_rad = share * float(np.linalg.svd(home, compute_uv=False)[:freedom].min())
+    return {"singular_hold_m_rad": min(SupervisorConfig.singular_hold_m_rad, smallest_m_rad)}
+
+
 def floor_s(simulation: Simulation, case: Case, chain: SerialChain) -> float:
     """Least time until it is within 5 mm for good, by the arm's limits and a chain, s."""
     asked = JointLimits(joint_names=simulation.world.joint_names)
@@ -141,10 +150,8 @@ def servo(task: tuple[str, str, int, float]) -> list[dict[str, Any]]:
         ),
     )
     if kind.rigid:
-        home = simulation.true_jacobian(simulation.world.start_rad(simulation.config))
-        smallest_m_rad = HELD_BELOW * float(np.linalg.svd(home, compute_uv=False)[-1])
-        hold_m_rad = min(SupervisorConfig.singular_hold_m_rad, smallest_m_rad)
-        variant = variant.changed(controller={"singular_hold_m_rad": hold_m_rad})
+        home_rad = simulation.world.start_rad(simulation.config)
+        variant = variant.changed(controller=held_near_singular(simulation, home_rad, HELD_BELOW))
     rng, (low, high) = np.random.default_rng(3), trained.joint_box_rad
     places_m = chain.position(np.random.default_rng(4).uniform(low, high, (500, low.size)))
     least_m = FAR * float(np.ptp(places_m, axis=0).max())
@@ -168,7 +175,7 @@ def measure(context: lab.Context) -> Results:
         for feature in context.first(list(FEATURES), 1)
         for arm in context.first(arms, 1)
     ]
-    return Results(row for rows in context.map(servo, tasks, "arms") for row in rows)
+    return Results(context.rows(servo, tasks, "arms"))
 
 
 def claims(runs: Results) -> Iterator[lab.Claim]:

@@ -165,9 +165,8 @@ def measure(context: lab.Context) -> Results:
     duration_s = 8.0 if context.quick else MOTION_S
     features = context.first((Ball.name, Pose.name), 1)
     tasks = [(seed, feature, duration_s) for feature in features for seed in seeds]
-    motion = context.map(by_motion, tasks, "motion")
-    taught = context.map(by_solvers, seeds, "taught poses")
-    return Results(row for rows in (*motion, *taught) for row in rows)
+    motion = context.rows(by_motion, tasks, "motion")
+    return Results([*motion, *context.rows(by_solvers, seeds, "taught poses")])
 
 
 def claims(runs: Results) -> Iterator[lab.Claim]:

@@ -214,8 +214,7 @@ def measure(context: lab.Context) -> Results:
         for world in WORLDS
         for seed in range(1, context.count(6) + 1)
     ]
-    judged = context.map(judge_all, jobs, "estimators: recordings")
-    return Results(row for rows in judged for row in rows)
+    return Results(context.rows(judge_all, jobs, "estimators: recordings"))
 
 
 # ---- claims, tables and figures -------------------------------------------------------------

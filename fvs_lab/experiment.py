@@ -69,6 +69,10 @@ class Context:
         done = self.workers(function, items)
         return list(tqdm(done, desc=label, total=len(items), leave=False, disable=None))
 
+    def rows(self, function: Callable[[T], Iterable[R]], items: Iterable[T], label: str) -> list[R]:
+        """The same of a function that makes several rows of an item: all of them."""
+        return [row for rows in self.map(function, items, label) for row in rows]
+
     def run(self, trials: Iterable[Trial], label: str, quick_s: float = 0.2) -> Results:
         """Run trials, a row each; those of a quick run end early, and compute faster."""
         if self.quick:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.config import SupervisorConfig
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.collecting import CollectorConfig
@@ -17,7 +16,7 @@ from fvs_estimator_node.on_arm import OnArmPoeEstimator
 from fvs_estimator_node.training import learned
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.arms import HELD_BELOW, collect, described, floor_s
+from fvs_lab.arms import HELD_BELOW, collect, described, floor_s, held_near_singular
 from fvs_lab.pose import rest
 from fvs_lab.relative import VISP_1_S, joints_at
 from fvs_lab.results import Results, median
@@ -131,12 +130,11 @@ class Arm:
     box_rad: np.ndarray
     #: Median relative error of the camera's twist there; a radian counts as 0.3 m.
     error: float
-    #: Smallest singular value of the Jacobian at home, m/rad.
-    smallest_m_rad: float
+    #: The controller's parameter of when to hold it.
+    held: Mapping[str, float]
 
     def trial(self, case: Case, **labels: Any) -> Trial:
         """The scheme best with this chain, in a case."""
-        hold_m_rad = min(SupervisorConfig.singular_hold_m_rad, HELD_BELOW * self.smallest_m_rad)
         return Trial(
             scheme("best"),
             labels={"part": "ur5", "scheme": OURS, "case": case.name, **labels},
@@ -144,7 +142,7 @@ class Arm:
             duration_s=RUN_S,
             record=True,
             estimator_of=lambda simulation, _: OnArmPoeEstimator(self.chain, None, simulation.kind),
-        ).changed(controller={**NEAR, "singular_hold_m_rad": hold_m_rad})
+        ).changed(controller={**NEAR, **self.held})
 
 
 def learn(task: tuple[str, str, float], servos: Mapping[str, Any] | None = None) -> Arm:
@@ -162,9 +160,8 @@ def learn(task: tuple[str, str, float], servos: Mapping[str, Any] | None = None)
     scale = np.repeat([KIND.lever_arm_m, 1.0], 3)[:, None]
     ours, true = (scale * learned(each, joints_rad) for each in (chain, simulation.true_chain()))
     error = float(np.median(relative_errors(ours, true)))
-    home = simulation.true_jacobian(simulation.world.start_rad(ROOM))
-    smallest_m_rad = float(np.linalg.svd(home, compute_uv=False)[-1])
-    return Arm(name, feature, chain, box_rad, error, smallest_m_rad)
+    held = held_near_singular(simulation, simulation.world.start_rad(ROOM), HELD_BELOW)
+    return Arm(name, feature, chain, box_rad, error, held)
 
 
 def second_object(arm: Arm, number: int, bump: Bump | None = None) -> tuple[Simulation, Case]:
@@ -324,13 +321,11 @@ def measure(context: lab.Context) -> Results:
         tasks.append((name, Ball.name if few else Pose.name, duration_s))
     arms = context.map(learn, tasks, "one object")
     count = context.count(20)
-    rows = list[dict[str, Any]]()
-    pairs = [(arm, number) for arm in arms for number in range(1, 1 + context.count(20))]
+    pairs = [(arm, number) for arm in arms for number in range(1, 1 + count)]
     first, starts = pairs[:count], [(arms[0], 1 + k) for k in range(context.count(150))]
-    rows += context.map(to_second, pairs, "another object")
+    rows = context.map(to_second, pairs, "another object")
     for part, numbered in ((with_hand_eyes, first), (cns, starts)):
-        for done in context.map(part, numbered, part.__name__):
-            rows += done
+        rows += context.rows(part, numbered, part.__name__)
     for each in (bumped, on_belt, with_images):
         rows += context.map(each, first, each.__name__)
     ours = [row for row in rows if row.get("arm") == arms[0].name]

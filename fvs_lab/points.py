@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import product
@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fvs_controller_node.config import SupervisorConfig
 from fvs_detector_node.tags import Tag
 from fvs_estimator_node.base import Estimator, Estimators
 from fvs_estimator_node.chain_fit import ChainFitError
@@ -22,7 +21,7 @@ from fvs_lab import contestants as who
 from fvs_lab import estimators as judge
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.arms import HELD_BELOW
+from fvs_lab.arms import HELD_BELOW, held_near_singular
 from fvs_lab.correntropy import CorrentropyConfig, CorrentropyEstimator
 from fvs_lab.floor import Limits, least_time_s
 from fvs_lab.results import Results
@@ -199,9 +198,7 @@ def floor_s(room: Room, case: Case) -> float | None:
 
 def servo(room: Room, models: Sequence[Any], name: str, case: Case) -> dict[str, Any]:
     """Servo by a scheme of the contestants: the row."""
-    home = room.true_jacobian(room.home_rad)
-    smallest_m_rad = np.linalg.svd(home, compute_uv=False)[min(room.kind.freedom, len(home.T)) - 1]
-    hold_m_rad = min(SupervisorConfig.singular_hold_m_rad, HELD_BELOW * float(smallest_m_rad))
+    held = held_near_singular(room, room.home_rad, HELD_BELOW)  # type: ignore[arg-type]
     trial = Trial(
         CONTESTANTS[name],
         case=case,
@@ -209,7 +206,7 @@ def servo(room: Room, models: Sequence[Any], name: str, case: Case) -> dict[str,
         stop_after_s=STAYS_S,
         record=True,
         estimator_of=lambda *_: estimator_of(room, models, CONTESTANTS[name]),
-    ).changed(controller={**who.CLIPPED, "singular_hold_m_rad": hold_m_rad})
+    ).changed(controller={**who.CLIPPED, **held})
     row = drive(trial, room)  # type: ignore[arg-type]
     series, each = row["series"], (room.kind.numbers / 2) ** -0.5
     settled_s = settling_time_s(series["time_s"], each * series["error_m"], SETTLED_ERROR_M)
@@ -303,12 +300,9 @@ def measure(context: lab.Context) -> Results:
     tasks += [("conditions", task, count) for task in conditions]
     seeds = range(1, 1 + count)
     worlds = range(1, 1 + (2 if context.quick else context.count(WORLDS)))
-    rows = list[Mapping[str, Any]]()
-    for part in context.map(of_task, tasks[2:5:2] if context.quick else tasks, "schemes"):
-        rows += part
+    rows = context.rows(of_task, tasks[2:5:2] if context.quick else tasks, "schemes")
     paths = product(context.first(NOISES, 1), range(1, 1 + context.count(PATHS)))
-    for part in context.map(judge_all, paths, "estimators"):
-        rows += part
+    rows += context.rows(judge_all, paths, "estimators")
     rows += context.map(fitted, context.first(product(WHITE_PX, K1S, seeds), 4), "fits")
     return Results([*rows, *context.map(world, worlds, "worlds")])
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache, partial
-from itertools import chain, product
+from itertools import product
 from typing import Any, TypeVar
 
 import cv2
@@ -515,15 +515,14 @@ def world(number: int) -> Setting:
 
 def measure(context: lab.Context) -> Results:
     """Repeat relations in all settings, and in random worlds."""
-    rows = []
+    rows = list[dict[str, Any]]()
     for part, settings in PARTS.items():
         if part == "images" and context.quick:
             continue
         drawn = product(context.first(settings, 1), range(1, 1 + context.count(60)))
-        for row in chain.from_iterable(context.map(rows_of, drawn, part)):
-            rows.append({"part": part, **row})
+        rows += [{"part": part, **row} for row in context.rows(rows_of, drawn, part)]
     jobs = [(world(number), number) for number in range(1, 1 + context.count(500))]
-    for row in chain.from_iterable(context.map(rows_of, jobs, "worlds")):
+    for row in context.rows(rows_of, jobs, "worlds"):
         cause = "" if row["good"] else "position" if row["rest_m"] > GOOD_M else "angle"
         rows.append({"part": "worlds", **row, "failure": row.get("failure") or cause})
     return Results(rows)
