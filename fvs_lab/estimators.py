@@ -274,10 +274,6 @@ TABLES = (
 )
 
 
-def _series_mm(name: str, row: Mapping[str, Any]) -> np.ndarray:
-    return 1e3 * np.array(row["series"][f"{name}_m"])
-
-
 def figures(runs: Results) -> Iterator[lab.Drawn]:
     """Figures 6 and 7 of the paper."""
     looks = {
@@ -290,10 +286,11 @@ def figures(runs: Results) -> Iterator[lab.Drawn]:
         for contestant in ESTIMATORS[:-1]
     }
     for name in ("t1", "t2"):
+        series_mm = partial(lambda name, row: 1e3 * np.array(row["series"][f"{name}_m"]), name)
         worlds = runs.groups("world").items()
         figure, (axes,) = draw.grid(1, len(worlds), (12.5, 5.6), sharey=True)
         for axis, (world, group) in zip(axes, worlds, strict=True):
-            draw.over_time(axis, group, partial(_series_mm, name), "estimator", looks)
+            draw.over_time(axis, group, series_mm, "estimator", looks)
             axis.set(title=world, xlabel="time, s", yscale="log")
         axes[0].set_ylabel(f"{name.upper()}, mm")
         draw.legend(figure)

@@ -20,12 +20,12 @@ from fvs_lab.arms import HELD_BELOW, collect, described, floor_s, held_near_sing
 from fvs_lab.pose import rest
 from fvs_lab.relative import VISP_1_S, joints_at
 from fvs_lab.results import Results, median
-from fvs_lab.trials import Bump, Case, Joints, Trial, Vector, along, drive, relative_errors
+from fvs_lab.trials import Bump, Case, Joints, Trial, Vector, along, drive, placed, relative_errors
 from fvs_ros.chain import SerialChain
 from fvs_ros.filter import Image
 from fvs_ros.kinds.ball import Ball
 from fvs_ros.kinds.pose import Pose
-from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
+from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.vectors import length
 from fvs_ros.view import ViewConfig
 from fvs_sim_node.camera import RigidPose
@@ -90,11 +90,8 @@ def _simulation(arm: str, feature: str) -> Simulation:
 
 def _put(simulation: Simulation, pose: RigidPose, velocity_m_s: Vector = (0.0, 0.0, 0.0)) -> None:
     """Put the object there, world frame, from the next reset on, before an unbumped camera."""
-    turned_deg = np.degrees(vector_from_rotation_rad(pose.rotation))
-    names = ("object_position_m", "object_rotation_deg", "object_velocity_m_s")
-    values = (*map(tuple, (pose.position_m.tolist(), turned_deg.tolist())), velocity_m_s)
-    changes: dict[str, Any] = dict(zip(names, values, strict=True))
-    simulation.configure(replace(simulation.config, **changes))
+    config = placed(simulation.config, pose)
+    simulation.configure(replace(config, object_velocity_m_s=velocity_m_s))
 
 
 def _ahead(simulation: Simulation, away_m: float, aslant_rad: np.ndarray) -> RigidPose:

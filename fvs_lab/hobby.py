@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,12 +33,6 @@ LEARNED, TOLD, UNKNOWN = "play learned", "play told exactly", "play unknown"
 RESTING, PLAIN = "no play, rest_when_settled", "no play"
 
 Task = tuple[Arm, str, Mapping[str, Any], Mapping[str, Any], int]
-
-
-def with_servos(task: tuple[Mapping[str, Any], float]) -> Arm:
-    """Learn the arm with such servos from a motion, s, before one ball."""
-    servos, duration_s = task
-    return learn((ROBOT, Ball.name, duration_s), servos)
 
 
 def to_rest(task: Task) -> dict[str, Any]:
@@ -69,12 +64,11 @@ def to_rest(task: Task) -> dict[str, Any]:
 
 def measure(context: lab.Context) -> Results:
     """Learn with and without play, and servo with play known, told and unknown."""
-    duration_s = 15.0 if context.quick else MOTION_S
-    kinds = [(PLAYFUL, duration_s), (SHORT, duration_s)]
-    playful, firm = context.map(with_servos, kinds, "one ball")
+    learned = partial(learn, (ROBOT, Ball.name, 15.0 if context.quick else MOTION_S))
+    playful, firm = context.map(learned, (PLAYFUL, SHORT), "one ball")
     play_rad = np.full(len(firm.chain.axes), PLAYFUL["backlash_rad"])
     told = replace(firm, chain=replace(firm.chain, play_rad=play_rad))
-    settings: list[tuple[Arm, str, Mapping[str, Any], Mapping[str, Any]]] = [
+    settings = [
         (playful, LEARNED, PLAYFUL, {}),
         (told, TOLD, PLAYFUL, {}),
         (firm, UNKNOWN, PLAYFUL, {}),

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache, partial
 from itertools import product
-from typing import Any, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,17 +35,15 @@ from fvs_lab.trials import (
     along,
     make_cases,
     outcome,
+    placed,
     simulation_of,
 )
 from fvs_ros.chain import SerialChain
 from fvs_ros.kinds.pose import Pose
-from fvs_ros.rotations import vector_from_rotation_rad
 from fvs_sim_node.camera import RigidPose
-from fvs_sim_node.config import SimConfig
 from fvs_sim_node.simulation import Observation, Simulation
 from fvs_tools.score import FINAL_S
 
-C = TypeVar("C", bound=SimConfig)
 KIND = Pose()
 #: Who repeats: our schemes with a relative target; the classic ways; ours with an absolute target.
 OURS = ("best", "proposed")
@@ -108,10 +106,6 @@ class View(Conditions):
             return z
         nearer = np.append(z[:3] / (1.0 + print_), z[3:])
         return np.asarray(KIND.through_lens(nearer[None], 0.0, self.radial)[0])
-
-
-def _changed(config: C, names: Sequence[str], values: Sequence[Any]) -> C:
-    return replace(config, **dict(zip(names, values, strict=True)))
 
 
 def seen_from(camera: RigidPose, z: np.ndarray) -> np.ndarray:
@@ -262,10 +256,8 @@ class Task:
     def prepare(self, when: int, joints_rad: np.ndarray | Joints, seed: int) -> Simulation:
         """The scene at teaching (0) or repeating (1), all at rest, the arm at joints, rad."""
         place = self.places[when]
-        turned_deg = np.degrees(vector_from_rotation_rad(KIND.rotation(place)))
-        put = tuple(place[:3].tolist()), tuple(turned_deg.tolist())
-        names = ("object_position_m", "object_rotation_deg")
-        scene = simulation_of(_changed(self.setting.view, names, put))
+        pose = RigidPose(place[:3], KIND.rotation(place))
+        scene = simulation_of(placed(self.setting.view, pose))
         scene.camera = self.cameras[when]
         scene.reset(joints_rad, seed)
         return scene
@@ -386,8 +378,9 @@ def repeat(task: Task, trial: Trial, relative: bool = True) -> dict[str, Any]:
     commands, errors_m = [], []
     for tick in range(round((STILL_S + MOVING_S if moves else REST_S) / loop.period_s)):
         if moves and tick == round(STILL_S / loop.period_s):
-            names = ("object_velocity_m_s", "object_turn_rate_deg_s", "camera_pose")
-            scene.configure(_changed(scene.config, names, (*task.speed, scene.camera)))
+            names = ("object_velocity_m_s", "object_turn_rate_deg_s")
+            speed: dict[str, Any] = dict(zip(names, task.speed, strict=True))
+            scene.configure(replace(scene.config, camera_pose=scene.camera, **speed))
         commands.append(loop.tick())
         errors_m.append(KIND.minus(loop.true_feature, target()))
     errors, times_s = np.array(errors_m), loop.period_s * np.arange(1, 1 + len(errors_m))
@@ -507,10 +500,10 @@ def world(number: int) -> Setting:
     amount = {name: float(rng.uniform(*range_)) for name, range_ in ranges.items()}
     amount["speed_scaling_percent"] = 100.0 * amount["drive_gain"]
     others = ("camera_carried_deg", "noise_exponent", "depth_error")
-    names = [item.name for item in fields(View) if item.name in set(amount).difference(others)]
+    names = {item.name for item in fields(View)}.difference(others)
+    changes: dict[str, Any] = {name: amount[name] for name in amount if name in names}
     camera_m, camera_deg = (most * rng.uniform() for most in WORLDS_MOVED)
-    view = _changed(View(), names, [amount[name] for name in names])
-    return Setting("worlds", view, camera_moved=(camera_m, camera_deg))
+    return Setting("worlds", View(**changes), camera_moved=(camera_m, camera_deg))
 
 
 def measure(context: lab.Context) -> Results:

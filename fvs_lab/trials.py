@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import islice, product
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command
 from fvs_estimator_node.base import Estimator
-from fvs_ros.rotations import rotation_from_vector
+from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
 from fvs_ros.track import Track
 from fvs_ros.vectors import length
 from fvs_sim_node.camera import CAMERAS, RigidPose
@@ -30,15 +30,30 @@ JACOBIAN_EVERY = 5
 HOME_RAD = np.array(HOME_JOINTS_RAD)
 BOX_RAD = np.array(TRAINING_BOX_RAD)
 
+C = TypeVar("C", bound=SimConfig)
 Vector = tuple[float, float, float]
 #: Joints, rad.
 Joints = tuple[float, ...]
 
 
+def vector(numbers: np.ndarray) -> Vector:
+    """Three numbers as a configuration holds them."""
+    x, y, z = numbers.tolist()
+    return (x, y, z)
+
+
 def along(direction: np.ndarray, length: float) -> Vector:
     """A vector of this length."""
-    x, y, z = (length * direction / np.linalg.norm(direction)).tolist()
-    return (x, y, z)
+    return vector(length * direction / np.linalg.norm(direction))
+
+
+def placed(config: C, pose: RigidPose) -> C:
+    """A configuration with the object there, world frame."""
+    return replace(
+        config,
+        object_position_m=vector(pose.position_m),
+        object_rotation_deg=vector(np.degrees(vector_from_rotation_rad(pose.rotation))),
+    )
 
 
 # ---- the world ------------------------------------------------------------------------------
