@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
 from itertools import islice
 from typing import Any
 
@@ -19,7 +18,7 @@ from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.floor import Limits, least_time_s
 from fvs_lab.results import Results, median
-from fvs_lab.trials import Case, Trial, apart, crossed, drive, photo, relative_errors
+from fvs_lab.trials import Case, Trial, apart, built, crossed, drive, photo, relative_errors
 from fvs_ros.chain import SerialChain
 from fvs_ros.interface import POSITION, PositionPath
 from fvs_ros.kinds import KindConfig
@@ -44,26 +43,16 @@ HELD_BELOW = 0.25
 
 #: What is seen, by exact cameras with noise: 1 mm, what rendered tags have, and 0.3 px.
 BALL, TAG, WEBCAM, WEBCAMS = Ball.name, "tag", "one webcam", "two webcams"
-EXACT, WHITE_M = SimConfig(rendered=False, position_noise_m=0.001), 0.3 * Points.pixel_m
+EXACT = SimConfig(rendered=False, position_noise_m=0.001)
+BY_WEBCAM = replace(EXACT, feature=Points.name, position_noise_m=0.3 * Points.pixel_m)
 FEATURES = {
     BALL: EXACT,
     TAG: replace(EXACT, feature=Pose.name, position_noise_m=3e-4),
-    WEBCAM: replace(EXACT, feature=Points.name, position_noise_m=WHITE_M),
-    WEBCAMS: replace(
-        EXACT,
-        feature=Points.name,
-        points=Points(cameras=("front", "side")),
-        position_noise_m=WHITE_M,
-    ),
+    WEBCAM: BY_WEBCAM,
+    WEBCAMS: replace(BY_WEBCAM, points=Points(cameras=("front", "side"))),
 }
 #: How much of a tag's pose is servoed with fewer than six joints.
 TASKS = {4: "position", 5: "position_y"}
-
-
-@lru_cache(maxsize=1)
-def _simulation(arm: str, feature: str) -> Simulation:
-    """The process's simulated arm, before its cameras."""
-    return Simulation(replace(FEATURES[feature], robot=arm))
 
 
 def described(simulation: Simulation, values: Parameters) -> dict[str, Any]:
@@ -114,7 +103,7 @@ def collect(simulation: Simulation, config: CollectorConfig, late_s: float = 0.0
 
 def learn(arm: str, feature: str, duration_s: float) -> tuple[TrainedModel, float]:
     """Move the arm as the collector does, and train; also the Jacobian's error in the box."""
-    simulation = _simulation(arm, feature)
+    simulation = built(replace(FEATURES[feature], robot=arm))
     kind, names = simulation.kind, simulation.world.joint_names
     asked = described(simulation, CollectorConfig(joint_names=names, duration_s=duration_s, seed=1))
     asked |= kind.values
@@ -137,7 +126,7 @@ def servo(task: tuple[str, str, int, float]) -> list[dict[str, Any]]:
     """
     arm, feature, count, duration_s = task
     trained, error = learn(arm, feature, duration_s)
-    simulation = _simulation(arm, feature)
+    simulation = built(replace(FEATURES[feature], robot=arm))
     kind, chain = simulation.kind, simulation.world.chain
     axes = {"task_axes": TASKS[chain.joints]} if chain.joints in TASKS else {}
     kind = KindConfig.from_values({**kind.values, **axes}).kind

@@ -49,7 +49,10 @@ class CorrentropyEstimator(LkfEstimator):
         for _ in range(config.iterations):
             off = np.linalg.solve(root, (after - jacobian)[..., None])[..., 0]
             missed = (step.d_feature_m - after @ moved) / np.sqrt(variance_m2)
-            counted, heard = (_kernel(errors / config.bandwidth) for errors in (off, missed))
+            counted, heard = (  # not below what can be divided by
+                np.exp(-np.minimum(0.5 * (errors / config.bandwidth) ** 2, 300.0))
+                for errors in (off, missed)
+            )
             # A prior and a measurement that count less vary more.
             covaried = (root / counted[:, None, :]) @ np.swapaxes(root, 1, 2) @ moved
             gain = covaried / (covaried @ moved + variance_m2 / heard)[:, None]
@@ -60,8 +63,3 @@ class CorrentropyEstimator(LkfEstimator):
         spread = left @ prior @ np.swapaxes(left, 1, 2)
         spread = spread + variance_m2 * gain[:, :, None] * gain[:, None, :]
         return after, 0.5 * (spread + np.swapaxes(spread, 1, 2))
-
-
-def _kernel(errors: np.ndarray) -> np.ndarray:
-    """Of Gauss, not below what can be divided by."""
-    return np.asarray(np.exp(-np.minimum(0.5 * errors**2, 300.0)))

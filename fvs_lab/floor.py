@@ -29,10 +29,6 @@ class Limits:
     speed_rad_s: float
     acceleration_rad_s2: float
 
-    def rest_s(self, travel_rad: float) -> float:
-        """Least time for a travel from rest to rest, s."""
-        return self.least_s(np.array([travel_rad]), np.zeros(1))
-
     def least_s(self, travel_rad: np.ndarray, end_rad_s: np.ndarray) -> float:
         """Least time from rest until all joints have made a travel and have a speed, s."""
         top, steep = self.speed_rad_s, self.acceleration_rad_s2
@@ -78,7 +74,7 @@ def least_time_s(
 
     start, goal = np.array(case.start_rad) / share, np.array(case.goal_rad) / share
     travel = goal - start
-    rest_s = limits.rest_s(float(np.abs(travel).max()))
+    rest_s = limits.least_s(travel, np.zeros_like(travel))
     steep, top = limits.acceleration_rad_s2, limits.speed_rad_s
     # More time than a joint needs to brake from the speed limit gains nothing.
     piece_s = min(top / steep, 0.5 * rest_s) / PIECES

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,18 @@ from fvs_lab.arms import HELD_BELOW, collect, described, floor_s, held_near_sing
 from fvs_lab.pose import rest
 from fvs_lab.relative import VISP_1_S, joints_at
 from fvs_lab.results import Results, median
-from fvs_lab.trials import Bump, Case, Joints, Trial, Vector, along, drive, placed, relative_errors
+from fvs_lab.trials import (
+    Bump,
+    Case,
+    Joints,
+    Trial,
+    Vector,
+    along,
+    built,
+    drive,
+    placed,
+    relative_errors,
+)
 from fvs_ros.chain import SerialChain
 from fvs_ros.filter import Image
 from fvs_ros.kinds.ball import Ball
@@ -75,15 +85,10 @@ BUMPED, BELT, CNS = "bracket bumped", "belt", "starts of CNS"
 IMAGES = "rendered images"
 
 
-@lru_cache(maxsize=1)
-def _build(config: SimConfig) -> Simulation:
-    return Simulation(config)
-
-
 def _simulation(arm: str, feature: str) -> Simulation:
     """The process's simulated arm with its camera, which nobody has bumped."""
     config = replace(ROOM, robot=arm, feature=feature)
-    simulation = _build(config)
+    simulation = built(config)
     simulation.configure(config)
     return simulation
 

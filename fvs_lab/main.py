@@ -17,7 +17,7 @@ from typing import Any
 from fvs_lab.report import EXPERIMENTS, LONG, write_page, write_report
 from fvs_ros import console
 from fvs_ros.arguments import Parser, how_to_install
-from fvs_ros.paths import output_file, version
+from fvs_ros.paths import find_file, output_file, version
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_tools.workers import HELP, Workers
 
@@ -98,11 +98,6 @@ def main(argv: list[str] | None = None) -> int:
     if _lacks("fvs_experiments", NEEDS, "sim,lab"):
         return EXIT_BAD_INPUT
     try:
-        output_file(arguments.out / "index.md")
-    except ValueError as error:
-        print(f"fvs_experiments: --out: {error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
-    try:
         return _run(arguments)
     except KeyboardInterrupt:
         print("fvs_experiments: interrupted; what was complete is kept")
@@ -115,6 +110,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from fvs_lab.robustness import schemes_called
 
     try:
+        output_file(arguments.out / "index.md")
         schemes_called(arguments.scheme)
         workers = Workers(arguments.backend, arguments.jobs).checked()
     except ValueError as error:
@@ -132,8 +128,7 @@ def _run(arguments: argparse.Namespace) -> int:
     began_s = time.monotonic()
     for number, name in enumerate(names, start=1):
         print(f"== {name} ({number} of {len(names)})", flush=True)
-        module = None if name in LONG else importlib.import_module(f"fvs_lab.{name}")
-        experiment = module.EXPERIMENT if module else LONG_ONES[name]
+        experiment = LONG_ONES.get(name) or importlib.import_module(f"fvs_lab.{name}").EXPERIMENT
         report = experiment.run(context)
         origin = _origin(arguments, experiment.model)
         write_report({"origin": origin, **report}, context.folder(name))
@@ -147,8 +142,6 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _origin(arguments: argparse.Namespace, model: str) -> dict[str, Any]:
     """Where results come from: command, version, model with its SHA-256's first digits."""
-    from fvs_ros.paths import find_file
-
     command = ["fvs_experiments", arguments.name]
     command += [f"--seeds {arguments.seeds}"] if arguments.seeds else []
     command += [f"--scheme {json.dumps(name)}" for name in arguments.scheme]

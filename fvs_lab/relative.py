@@ -26,7 +26,6 @@ from fvs_lab.robustness import EVERYDAY
 from fvs_lab.trials import (
     BOX_RAD,
     HOME_RAD,
-    JACOBIAN_EVERY,
     Case,
     Conditions,
     Joints,
@@ -384,8 +383,7 @@ def repeat(task: Task, trial: Trial, relative: bool = True) -> dict[str, Any]:
         commands.append(loop.tick())
         errors_m.append(KIND.minus(loop.true_feature, target()))
     errors, times_s = np.array(errors_m), loop.period_s * np.arange(1, 1 + len(errors_m))
-    unknown = np.full(len(times_s[::JACOBIAN_EVERY]), np.nan)
-    judged = outcome(times_s, np.linalg.norm(errors, axis=1), commands, unknown)
+    judged = outcome(times_s, np.linalg.norm(errors, axis=1), commands)
     if moves:
         late_m = errors[times_s > STILL_S + CATCH_UP_S, :3]
         return {**judged, "rms_m": float(np.sqrt(np.mean(np.sum(late_m**2, axis=1))))}

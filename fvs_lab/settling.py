@@ -100,6 +100,8 @@ def promised(row: Mapping[str, Any]) -> dict[str, Any]:
     law = make_law(default_values(law="ftsm", alpha1=1.0, **GAINS[row["gains"]]))
     assert isinstance(law, FtsmLaw)
     surface, reaching_law = law.gains.surface, law.gains.reaching
+    commands = row["series"]["command_rad_s"]
+    steps = np.diff(commands, axis=0, prepend=np.zeros((1, commands.shape[1])))
     error_m = row["series"]["feature_m"][0] - np.array(row["target_m"])
     reaching = [reaching_time_s(surface.value(y, 0.0), reaching_law) for y in error_m]
     sliding, printed = (
@@ -109,19 +111,12 @@ def promised(row: Mapping[str, Any]) -> dict[str, Any]:
     # Until the surface is reached the error does not grow.
     bound_s, printed_s = (float(np.add(reaching, times).max()) for times in (sliding, printed))
     return {
-        "excluded": over_ramp(row),
+        "excluded": bool(np.abs(steps).max() > RAMP_RAD_S2 / SimConfig.joint_state_rate_hz),
         "bound_s": bound_s,
         "printed_s": printed_s,
         "within": max(row["to_5mm_s"], row["to_2mm_s"]) <= bound_s,
         "printed_kept": max(printed) > 0.0 and row["to_5mm_s"] <= printed_s,
     }
-
-
-def over_ramp(run: Mapping[str, Any]) -> bool:
-    """Whether the commands of a recorded run change faster than the drives can follow."""
-    commands = run["series"]["command_rad_s"]
-    steps = np.diff(commands, axis=0, prepend=np.zeros((1, commands.shape[1])))
-    return bool(np.abs(steps).max() > RAMP_RAD_S2 / SimConfig.joint_state_rate_hz)
 
 
 def measure(context: lab.Context) -> Results:

@@ -119,7 +119,7 @@ def simulation_of(conditions: Conditions) -> Simulation:
         object_tag_size_m=conditions.object_tag_size_m,
         object_tag_layout=conditions.object_tag_layout,
     )
-    simulation = _build(type(conditions), config)  # type: ignore[arg-type]
+    simulation = built(config, conditions.simulation)  # type: ignore[arg-type]
     carried_rad = np.radians(conditions.camera_carried_deg)
     camera = _carried_camera(carried_rad, conditions.camera_distance_m)
     simulation.configure(replace(conditions, camera_pose=camera))
@@ -130,8 +130,9 @@ def simulation_of(conditions: Conditions) -> Simulation:
 
 
 @lru_cache(maxsize=4)
-def _build(conditions: type[Conditions], config: SimConfig) -> Simulation:
-    return conditions.simulation(config)
+def built(config: SimConfig, simulation: type[Simulation] = Simulation) -> Simulation:
+    """The process's simulation of a robot and a scene."""
+    return simulation(config)
 
 
 @dataclass(frozen=True)
@@ -328,9 +329,10 @@ def run_trial(trial: Trial) -> dict[str, Any]:
 def drive(trial: Trial, simulation: Simulation) -> dict[str, Any]:
     """Run one trial in a simulation that has been put under its conditions.
 
-    Returns its row of the tidy table: its labels, the columns of :func:`outcome`, ``target_m`` (the
-    last target, camera frame, m) and ``series``, which is empty unless recorded: ``time_s`` (n,),
-    ``feature_m`` and ``exponent`` (n, m), ``error_m`` (n,), ``command_rad_s`` (n, joints).
+    Returns its row of the tidy table: its labels, the columns of :func:`outcome`,
+    ``jacobian_error`` (relative, in use until it settled), ``target_m`` (the last target, camera
+    frame, m) and ``series``, which is empty unless recorded: ``time_s`` (n,), ``feature_m`` and
+    ``exponent`` (n, m), ``error_m`` (n,), ``command_rad_s`` (n, joints).
     """
     case, bump, path = trial.case, trial.bump, trial.path
     assert case is not None
@@ -380,27 +382,27 @@ def drive(trial: Trial, simulation: Simulation) -> dict[str, Any]:
             "command_rad_s": np.array([command.velocity_rad_s for command in commands]),
             "exponent": np.array([out.exponent if out else none for out in outputs]),
         }
-    judged = outcome(np.array(times_s), np.array(errors_m), commands, np.array(jacobian_errors))
-    return {**trial.labels, **judged, "target_m": tuple(target_m.tolist()), "series": series}
+    judged = outcome(np.array(times_s), np.array(errors_m), commands)
+    moving = np.array(times_s[::JACOBIAN_EVERY]) <= judged["to_5mm_s"]
+    return {
+        **trial.labels,
+        **judged,
+        "jacobian_error": float(np.mean(np.array(jacobian_errors)[moving])),
+        "target_m": tuple(target_m.tolist()),
+        "series": series,
+    }
 
 
 def outcome(
-    times_s: np.ndarray,
-    errors_m: np.ndarray,
-    commands: Sequence[Command],
-    jacobian_errors: np.ndarray,
+    times_s: np.ndarray, errors_m: np.ndarray, commands: Sequence[Command]
 ) -> dict[str, Any]:
-    """Judge a run of n ticks.
-
-    Times since the target was given, s, and true errors from it, m, shape (n,); relative errors of
-    the Jacobian in use at every ``JACOBIAN_EVERY``-th tick.
-    """
+    """Judge a run of n ticks: times since the target was given, s, and true errors, m, (n,)."""
     speeds = np.array([command.velocity_rad_s for command in commands])
     settled_s, fine_s = (
         float("inf") if (time_s := settling_time_s(times_s, errors_m, bound)) is None else time_s
         for bound in (SETTLED_ERROR_M, FINE_ERROR_M)
     )
-    last, moving = times_s > times_s[-1] - FINAL_S, times_s <= settled_s
+    last = times_s > times_s[-1] - FINAL_S
     serving = commands[-1].state is State.SERVOING
     jitter = np.sqrt(np.mean(np.diff(speeds[last], axis=0) ** 2, axis=0))
     settled = bool(np.isfinite(settled_s))
@@ -416,7 +418,6 @@ def outcome(
         # for an arm that the supervisor held, since its rest is no merit of the law.
         "jitter_rad_s": float(jitter.max()) if serving else float("inf"),
         "peak_joint_speed_rad_s": float(np.abs(speeds).max()),
-        "jacobian_error": float(np.mean(jacobian_errors[moving[::JACOBIAN_EVERY]])),
         "failure": "" if settled else _cause(times_s, errors_m, commands[-1]),
     }
 
