@@ -47,11 +47,12 @@ class Story:
         #: Where the tag is to be, camera frame, and what can be seen now.
         self.wanted, self.caption = lambda: home, "Neither camera nor arm is calibrated."
 
-    def happens(self, event, caption, **values):
-        """Change the simulation; the event is marked on the time axis."""
+    def happens(self, event, caption, seconds, **values):
+        """Change the simulation, mark the event on the time axis, and let time pass."""
         self.events.append((self.simulation.time_s - self.begin_s, event))
         self.caption = caption
         self.simulation.configure(replace(self.simulation.config, **values))
+        yield from self.passes(seconds)
 
     def passes(self, seconds):
         """Let time pass; yields when a frame is due."""
@@ -67,7 +68,6 @@ class Story:
         """All of it."""
         loop, simulation, kind, home = self.loop, self.simulation, self.kind, self.wanted()
         yield from self.passes(1.0)
-        self.happens("drag", "The target is dragged: the arm follows.")
         begin_s = simulation.time_s
 
         def dragged():
@@ -77,28 +77,26 @@ class Story:
             return kind.retract(home, np.array([right_m, up_m, 0.0, 0.0, 0.0, right_m]))
 
         self.wanted = dragged
+        yield from self.happens("drag", "The target is dragged: the arm follows.", 0.0)
         for _ in range(round(DRAG_S / MESSAGE_S)):
             loop.set_target(dragged())
             yield from self.passes(MESSAGE_S)
         yield from self.passes(0.5)
         caption = "The camera is bumped by 25 degrees: the arm recovers."
-        self.happens("bump", caption, camera_rotation_deg=(0.0, 0.0, 25.0))
-        yield from self.passes(2.8)
-        self.happens("teach", "Taught: where the tool is, seen from the object.")
+        yield from self.happens("bump", caption, 2.8, camera_rotation_deg=(0.0, 0.0, 25.0))
         taught_z = kind.relative(loop.true_feature, simulation.true_object())
         loop.loop.go_to(loop.loop.teach(simulation.time_s))
         self.wanted = lambda: kind.absolute(taught_z, simulation.true_object())
-        yield from self.passes(1.4)
+        yield from self.happens("teach", "Taught: where the tool is, seen from the object.", 1.4)
         jumped_m = tuple(np.add(simulation.config.object_position_m, (0.05, -0.15, 0.05)))
-        caption = "The object jumps: the arm repeats what it was taught."
-        self.happens("repeat", caption, object_position_m=jumped_m)
+        simulation.configure(replace(simulation.config, object_position_m=jumped_m))
         simulation.place_object()
-        yield from self.passes(2.5)
+        caption = "The object jumps: the arm repeats what it was taught."
+        yield from self.happens("repeat", caption, 2.5)
         caption = "The object is carried on: the arm follows."
-        self.happens("follow", caption, object_velocity_m_s=(0.0, 0.1, 0.0))
-        yield from self.passes(1.5)
-        self.happens("rest", "The object rests: so does the arm.", object_velocity_m_s=(0.0,) * 3)
-        yield from self.passes(1.5)
+        yield from self.happens("follow", caption, 1.5, object_velocity_m_s=(0.0, 0.1, 0.0))
+        caption, at_rest = "The object rests: so does the arm.", (0.0, 0.0, 0.0)
+        yield from self.happens("rest", caption, 1.5, object_velocity_m_s=at_rest)
 
 
 def photograph(story, camera):

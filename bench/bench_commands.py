@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from bench import ROOT
@@ -85,7 +86,7 @@ class _Runner:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self.servers: list[tuple[str, subprocess.Popen[bytes], float]] = []
+        self._servers: list[tuple[str, subprocess.Popen[bytes], float]] = []
 
     def run(self, words: list[str], serves: bool, text: str) -> bool:
         """Run a command; whether it went well, or, if it serves, whether it started."""
@@ -101,37 +102,27 @@ class _Runner:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
-        try:
-            code = process.wait(_STARTED_S if serves else _LONGEST_S)
-        except subprocess.TimeoutExpired:
-            if serves:
-                self.servers.append((text, process, begin_s))
-                return True
-            code = _interrupt(process)
-        return _row(text, code, begin_s)
+        self._servers.append((text, process, begin_s))
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_STARTED_S if serves else _LONGEST_S)
+        return (serves and process.poll() is None) or self.stop(len(self._servers) - 1)
 
     def stop(self, keep: int = 0) -> bool:
-        """End the newest that serve by Ctrl-C; whether all ended well."""
+        """End the newest by Ctrl-C, unless they have ended; whether all went well."""
         good = True
-        while len(self.servers) > keep:
-            text, process, begin_s = self.servers.pop()
-            code = process.poll()
-            good &= _row(text, _interrupt(process) if code is None else code, begin_s)
+        while len(self._servers) > keep:
+            text, process, begin_s = self._servers.pop()
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                try:
+                    process.wait(_STARTED_S)
+                except subprocess.TimeoutExpired:
+                    os.killpg(process.pid, signal.SIGKILL)
+                    process.wait()
+            code, spent_s = process.returncode, time.perf_counter() - begin_s
+            print(f"{code:4d} {spent_s:6.0f} s  {text}", flush=True)
+            good &= code == 0
         return good
-
-
-def _interrupt(process: subprocess.Popen[bytes]) -> int:
-    process.send_signal(signal.SIGINT)
-    try:
-        return process.wait(_STARTED_S)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        return -signal.SIGKILL
-
-
-def _row(text: str, code: int, begin_s: float) -> bool:
-    print(f"{code:4d} {time.perf_counter() - begin_s:6.0f} s  {text}", flush=True)
-    return code == 0
 
 
 def check(page: Path, folder: Path) -> int:

@@ -1,13 +1,8 @@
-"""Accuracy of the ball detection over random poses, and what the detector takes of a core.
-
-``python -m bench detection``; FVS_BENCH_POSES sets how many poses (500).
-"""
+"""Accuracy of the ball detection over 500 random poses, and what the detector takes of a core."""
 
 from __future__ import annotations
 
-import os
 import time
-from itertools import count
 
 import cv2
 import numpy as np
@@ -23,7 +18,7 @@ from fvs_sim_node.config import SimConfig
 from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.world import Renderer, World
 
-CONFIG = SimConfig()
+CONFIG, POSES = SimConfig(), 500
 POSE = CAMERAS[CONFIG.camera]
 
 
@@ -38,10 +33,10 @@ def images(poses):
     world.close()
 
 
-def accuracy(poses, noise):
+def accuracy(noise):
     """Errors, mm, where the ball is in full view, at a factor on the depth camera's noise."""
     rng = np.random.default_rng(0)
-    offsets_rad = np.array(TRAINING_BOX_RAD) * rng.uniform(-1, 1, (poses, len(TRAINING_BOX_RAD)))
+    offsets_rad = np.array(TRAINING_BOX_RAD) * rng.uniform(-1, 1, (POSES, len(TRAINING_BOX_RAD)))
     errors_mm, detector = [], BallDetector(DetectorConfig())
     for rgb, depth_m, ball_m in images(offsets_rad):
         measured_m = add_depth_noise(depth_m, CONFIG.lens().fx, rng, noise)
@@ -57,12 +52,11 @@ def one_image(repeats):
     depth_m = add_depth_noise(depth_m, CONFIG.lens().fx, np.random.default_rng(0))
     color = to_image(0.0, "", rgb, "rgb8")
     depth = to_image(0.0, "", np.round(1e3 * depth_m).astype(np.uint16), "16UC1")
-    detector, frame = BallDetector(DetectorConfig()), count()
-    camera = CameraModel(CONFIG.lens())
+    detector, camera = BallDetector(DetectorConfig()), CameraModel(CONFIG.lens())
     spent_ms = []
-    for _ in range(repeats):
+    for frame in range(repeats):
         begin_s = time.process_time()
-        detector.detect(next(frame) / 30, from_color(color), from_depth(depth), camera)
+        detector.detect(frame / 30, from_color(color), from_depth(depth), camera)
         spent_ms.append(1e3 * (time.process_time() - begin_s))
     return spent_ms
 
@@ -70,11 +64,10 @@ def one_image(repeats):
 def main():
     cv2.setNumThreads(1)
     print(f"decode and track, VGA, one thread: {spread(one_image(200), 'ms of CPU', 90.0)}")
-    poses = int(os.environ.get("FVS_BENCH_POSES", "500"))
     for noise, name in ((0.0, "no noise"), (1.0, "a D435's noise")):
-        errors_mm = accuracy(poses, noise)
+        errors_mm = accuracy(noise)
         rms_mm = np.sqrt(np.mean(errors_mm**2))
         print(
-            f"error of {poses} poses in box M, {name}: {rms_mm:.2f} mm rms, {errors_mm.max():.2f} "
+            f"error of {POSES} poses in box M, {name}: {rms_mm:.2f} mm rms, {errors_mm.max():.2f} "
             f"at most; in full view {len(errors_mm)}"
         )

@@ -224,6 +224,10 @@ def by_us(recording, mask):
     return matrices(features[:, :3], rotations), delay_s
 
 
+def rms(vectors):
+    return np.sqrt(np.mean(np.sum(vectors**2, axis=1)))
+
+
 def by_pixels(recording, mask, held):
     """Rms over the held-out corners of what a chain before an unknown lens predicts of nine.
 
@@ -234,7 +238,7 @@ def by_pixels(recording, mask, held):
     k = np.arange(np.count_nonzero(mask))
     z = corners[mask].reshape(len(k), -1)
     fit = fit_pixels(DataSet(k * 1.0, joints[mask], z, k, still=True, feature="points"))
-    parts = [[], [], []]
+    parts = []
     for predicted, seen in zip(fit.chain.position(joints[held]), corners[held], strict=True):
         ours, theirs = (
             cv2.solvePnP(recording.points_m[grid], image, recording.matrix, recording.lens)[2][:, 0]
@@ -242,9 +246,8 @@ def by_pixels(recording, mask, held):
         )
         off_px = predicted.reshape(-1, 2) - seen
         across_mm = 1e3 * off_px * theirs[2] / recording.matrix[0, 0]
-        for part, off in zip(parts, (off_px, across_mm, 1e3 * (ours - theirs)[None]), strict=True):
-            part.append(off)
-    return [np.sqrt(np.mean(np.sum(np.concatenate(part) ** 2, axis=1))) for part in parts]
+        parts.append((off_px, across_mm, 1e3 * (ours - theirs)[None]))
+    return [rms(np.concatenate(part)) for part in zip(*parts, strict=True)]
 
 
 def by_opencv(recording, mask, method):
@@ -276,7 +279,7 @@ def errors(recording, poses, held):
         image = recording.matrix @ (np.stack([poses, targets])[..., :3, :] @ points)
         predicted, measured = image[..., :2, :] / image[..., 2:, :]
         parts.append(np.swapaxes(predicted - measured, 1, 2).reshape(-1, 2))
-    return [np.sqrt(np.mean(np.sum(part**2, axis=1))) for part in parts]
+    return [rms(part) for part in parts]
 
 
 def compare(recording, use):

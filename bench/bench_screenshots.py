@@ -23,16 +23,8 @@ VIEWS: dict[str, tuple[int, int, tuple[str, ...]]] = {
 }
 #: In lock step, so that a busy computer does not hold the arm.
 SLOWLY = "port:=0", "simulated_time:=true", "use_sim_time:=true"
-#: Headless, drawing WebGL by software, and saying nothing to the world.
-FLAGS = (
-    "--no-sandbox",
-    "--disable-gpu",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-)
+#: WebGL is drawn by software.
+FLAGS = "--disable-gpu", "--enable-unsafe-swiftshader"
 #: Drawn some times a second only: by software every picture takes a core for tens of milliseconds.
 SELDOM = "window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 500)"
 #: Whether the arm is on its way, with a new picture.

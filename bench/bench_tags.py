@@ -1,7 +1,6 @@
 """Tags: how exact corners and poses of drawn images are, and whether any pose is wrong.
 
-``python -m bench tags``; FVS_BENCH_TAGS sets how many images are drawn (10,000). A pose is wrong if
-its angle is off by 5 degrees.
+``python -m bench tags`` draws 10,000 images. A pose is wrong if its angle is off by 5 degrees.
 
 ``python -m bench tags ./FOLDER`` compares with AprilTag's own detector (``pip install
 pupil-apriltags``) on photographs of 36h11 tags instead; the numbers of docs/tags.md are of
@@ -10,7 +9,6 @@ pupil-apriltags``) on photographs of 36h11 tags instead; the numbers of docs/tag
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from pathlib import Path
@@ -24,13 +22,11 @@ from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.tag_corners import FIT, TagReader, across_px
 from fvs_detector_node.tag_pose import TagDetector
 from fvs_detector_node.tags import Tag
+from fvs_ros.rotations import vector_from_rotation_rad
+from fvs_ros.vectors import length
 
 TAG = Tag(tag_size_m=SIZE_M)
-IMAGES = int(os.environ.get("FVS_BENCH_TAGS", "10000"))
-
-
-def angle_deg(rotation, true):
-    return float(np.degrees(np.linalg.norm(cv2.Rodrigues(rotation.T @ true)[0])))
+IMAGES = 10_000
 
 
 def drawn(rng):
@@ -50,7 +46,7 @@ def drawn(rng):
         if tag is None:
             unsure += 1
             continue
-        angle = angle_deg(tag.rotation, pose[0])
+        angle = np.degrees(length(vector_from_rotation_rad(tag.rotation.T @ pose[0])))
         wrong += angle > 5.0
         errors.append((1e3 * np.linalg.norm(tag.position_m - pose[1]), angle))
     print(f"{IMAGES} drawn tags of {1e3 * SIZE_M:g} mm, 0.4 to 1.2 m away, tilted by up to 69 deg")
