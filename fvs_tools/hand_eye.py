@@ -47,33 +47,17 @@ _BIAS = 0.25
 
 @dataclass(frozen=True)
 class Estimate:
-    """A camera's pose, and what else the images tell.
+    """A camera's pose, and what else the images tell."""
 
-    Parameters
-    ----------
-    model : HandEyeModel
-        Of the data; its arm is read from the tip, if the arm carries the camera.
-    values : ndarray, shape (p,)
-        The unknowns of the model.
-    deviation : Unknowns
-        Their standard deviations.
-    covariance : ndarray, shape (6, 6)
-        Of the camera's position, m, and of the rotation vector that turns it, rad, in the frame of
-        the root.
-    residual_m : ndarray, shape (k, 3)
-        The model's points less those of the images, m.
-    outliers : int
-        Images further than six standard deviations from the model.
-    links_evidence : float
-        Logarithm of the likelihood with other links than the URDF's, over that with the URDF's.
-    """
-
-    model: HandEyeModel
-    values: np.ndarray
-    deviation: Unknowns
+    model: HandEyeModel  #: of the data; its arm is read from the tip, if that carries the camera
+    values: np.ndarray  #: the unknowns of the model, (p,)
+    deviation: Unknowns  #: their standard deviations
+    #: Of the camera's position, m, and of the rotation vector that turns it, rad, in the frame of
+    #: the root, (6, 6).
     covariance: np.ndarray
-    residual_m: np.ndarray
-    outliers: int
+    residual_m: np.ndarray  #: the model's points less those of the images, m, (k, 3)
+    outliers: int  #: images further than six standard deviations from the model
+    #: Logarithm of the likelihood with other links than the URDF's, over that with the URDF's.
     links_evidence: float
 
     @property
@@ -112,15 +96,7 @@ class Estimate:
 
 @threadpool_limits.wrap(limits=1)
 def solve(data: DataSet, arm: Kinematics) -> Estimate:
-    """The camera in the frame of the arm's root.
-
-    Parameters
-    ----------
-    data : DataSet
-        Images of a ball or tag on the tip, and the joints of the arm, in its order.
-    arm : Kinematics
-        From the URDF.
-    """
+    """The camera in the frame of the arm's root; the data have its joints in its order."""
     path = Path(data)
     joints = path.joints_and_velocities(0.0)[0]
     model = HandEyeModel(data, path, arm, *registration(arm, joints, data.z[path.indices]))
@@ -163,23 +139,21 @@ def _optimum(model: HandEyeModel) -> np.ndarray:
     measured = model.measured[images]
     start = np.zeros(sum(model.sizes))
     white = whitening(model.features(start, images) - measured, measured)
-    deviation, links = _deviations(model), np.zeros(model.sizes[-1])
-    deviation = deviation[: -links.size or None]
-    limit = np.append(10.0 * deviation, links)
+    deviation = _deviations(model, links=_EXACT)
+    limit = 10.0 * deviation
     model.unknowns(limit).delay_s[:] = MAX_OFFSET_S
-    limit = limit[: len(deviation)]
 
     def residuals(values: np.ndarray) -> np.ndarray:
-        errors = model.features(np.append(values, links), images) - measured
+        errors = model.features(values, images) - measured
         return np.append(white @ errors[..., None], values / deviation)
 
     def slopes(values: np.ndarray) -> np.ndarray:
-        rows = white @ model.slopes(np.append(values, links), images)[..., : values.size]
-        return np.vstack([rows.reshape(-1, values.size), np.diag(1.0 / deviation)])
+        rows = white @ model.slopes(values, images)
+        return np.vstack([rows.reshape(-1, start.size), np.diag(1.0 / deviation)])
 
-    solution = least_squares(
+    return least_squares(
         residuals,
-        start[: deviation.size],
+        start,
         slopes,
         bounds=(-limit, limit),
         x_scale=deviation,
@@ -187,8 +161,7 @@ def _optimum(model: HandEyeModel) -> np.ndarray:
         f_scale=_ROBUST,
         ftol=1e-6,
         max_nfev=_EVALUATIONS,
-    )
-    return np.append(solution.x, links)
+    ).x
 
 
 def _posterior(

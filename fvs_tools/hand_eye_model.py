@@ -7,6 +7,8 @@ the focal length, k is the first coefficient of distortion.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -16,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.joint_path import Path
 from fvs_ros.chain import SerialChain, cross_matrix
+from fvs_ros.kinds import Kind
 from fvs_ros.rotations import nearest_rotation
 from fvs_tools.kinematics import Kinematics
 
@@ -41,38 +44,32 @@ class Unknowns(NamedTuple):
 _LINK_M = 0.5
 
 
+@dataclass(frozen=True)
 class HandEyeModel:
-    """Images as functions of the unknowns.
+    """Images as functions of the unknowns."""
 
-    Parameters
-    ----------
-    data : DataSet
-        With the joints of the arm, in its order.
-    path : Path
-        Its joints at any time, and the images that count.
-    arm : Kinematics
-        From the URDF.
-    base_from_camera : ndarray, shape (4, 4)
-        Where the unknown pose of the camera begins.
-    target : ndarray, shape (m,)
-        Where the target begins: as it would be measured in the base's frame, all joints at zero.
-    """
+    data: DataSet  #: with the joints of the arm, in its order
+    path: Path  #: its joints at any time, and the images that count
+    arm: Kinematics  #: from the URDF
+    base_from_camera: np.ndarray  #: where the unknown pose of the camera begins, (4, 4)
+    #: Where the target begins: as measured in the base's frame, all joints at zero, (m,).
+    target: np.ndarray
 
-    def __init__(
-        self,
-        data: DataSet,
-        path: Path,
-        arm: Kinematics,
-        base_from_camera: np.ndarray,
-        target: np.ndarray,
-    ) -> None:
-        self.data, self.arm, self.kind, self.path = data, arm, data.kind, path
-        self._base_from_camera, self._target = base_from_camera, target
-        #: What the images show, (k, m).
-        self.measured = data.z[self.path.indices]
-        n = len(arm.names)
-        #: Of the parts of the unknowns.
-        self.sizes = 6, self.kind.size, 1, 1, 1, 1, n, n, 6 * (n - 1)
+    @cached_property
+    def kind(self) -> Kind:
+        """What the camera sees."""
+        return self.data.kind
+
+    @cached_property
+    def measured(self) -> np.ndarray:
+        """What the images show, (k, m)."""
+        return self.data.z[self.path.indices]
+
+    @cached_property
+    def sizes(self) -> tuple[int, ...]:
+        """Of the parts of the unknowns."""
+        n = len(self.arm.names)
+        return 6, self.kind.size, 1, 1, 1, 1, n, n, 6 * (n - 1)
 
     def unknowns(self, values: np.ndarray) -> Unknowns:
         """The parts of a vector, (p,)."""
@@ -80,10 +77,10 @@ class HandEyeModel:
 
     def poses(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
         """``base_from_camera``, (4, 4), and the target in the base's frame, (m,)."""
-        moved = self._base_from_camera.copy()
+        moved = self.base_from_camera.copy()
         moved[:3, 3] += unknowns.camera[:3]
         moved[:3, :3] = Rotation.from_rotvec(unknowns.camera[3:]).as_matrix() @ moved[:3, :3]
-        return moved, self.kind.retract(self._target, self.kind.unit * unknowns.target)
+        return moved, self.kind.retract(self.target, self.kind.unit * unknowns.target)
 
     def features(self, values: np.ndarray, images: np.ndarray | slice = slice(None)) -> np.ndarray:
         """What images show, (k, m), at a vector of unknowns, (p,)."""
