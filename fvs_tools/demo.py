@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fvs_ros.kinds import Kind, KindConfig
 from fvs_ros.params import parameter
-from fvs_ros.rotations import rotation_from_vector, vector_from_rotation_rad
 from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge
 
 
@@ -59,10 +59,10 @@ def jump_of_object(
     position_m, rotation_deg = (np.array(home[name]) for name in OBJECT)
     position_m += rng.uniform(-share * _JUMP_M, share * _JUMP_M)
     angle_rad = rng.uniform(-share * _JUMP_RAD, share * _JUMP_RAD)
-    about_vertical = rotation_from_vector(np.array([0.0, 0.0, angle_rad]))
-    rotation = about_vertical @ rotation_from_vector(np.radians(rotation_deg))
-    rotation_deg = np.degrees(vector_from_rotation_rad(rotation))
-    return dict(zip(OBJECT, (position_m.tolist(), rotation_deg.tolist()), strict=True))
+    about_vertical = Rotation.from_rotvec([0.0, 0.0, angle_rad])
+    rotation = about_vertical * Rotation.from_rotvec(rotation_deg, degrees=True)
+    places = position_m.tolist(), rotation.as_rotvec(degrees=True).tolist()
+    return dict(zip(OBJECT, places, strict=True))
 
 
 @dataclass

@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fvs_ros.chain import SerialChain
-from fvs_ros.rotations import rotation_from_vector
 from fvs_ros.urdf import UrdfJoint, moving_chain, path_to
 
 
@@ -64,8 +64,7 @@ def kinematics(
     axes, points_m = [], []
     for joint in path:
         point_m = point_m + rotation @ np.array(joint.xyz_m)
-        for angle, about in zip(joint.rpy_rad[::-1], np.eye(3)[::-1], strict=True):
-            rotation = rotation @ rotation_from_vector(angle * about)
+        rotation = rotation @ Rotation.from_euler("xyz", joint.rpy_rad).as_matrix()
         if joint.moves:
             axis = np.array(joint.axis)
             if not np.linalg.norm(axis) > 1e-6:
