@@ -17,17 +17,7 @@ import numpy as np
 
 from fvs_ros.kinds.kind import UNNAMED, Kind
 from fvs_ros.params import ParameterError, parameter
-from fvs_ros.topics import (
-    COLLECTOR,
-    CONTROLLER,
-    DASHBOARD,
-    ESTIMATOR,
-    SIM,
-    KindTopics,
-    kind_topics,
-    message_class,
-    of_camera,
-)
+from fvs_ros.topics import CALIBRATE, CONTROLLER, KindTopics, kind_topics, message_class, of_camera
 
 _COUNT = 1
 #: Most cameras, points of all of them, and what the cameras' names are made of: those of topics.
@@ -49,6 +39,8 @@ _TOPICS = kind_topics(
     ("target_points", "Where the points are to be seen, as in `image_points`."),
     ("object_points", "The same of an object, for targets relative to it; optional."),
 )
+#: All but the calibration, which takes no pixels.
+_NODES = tuple(node for node in _TOPICS.tool.subscribers if node != CALIBRATE)
 
 
 @dataclass(frozen=True)
@@ -61,7 +53,7 @@ class Points(Kind):
     outliers = 0.03  # the middle of what is partly hidden
     models = ("models/ur5_webcams.npz", "")
     topics = _TOPICS._replace(
-        tool=replace(_TOPICS.tool, subscribers=(SIM, ESTIMATOR, CONTROLLER, COLLECTOR, DASHBOARD)),
+        tool=replace(_TOPICS.tool, subscribers=_NODES),
         object=replace(_TOPICS.object, publishers=(), subscribers=(CONTROLLER,)),
         object_truth=replace(_TOPICS.object_truth, publishers=(), subscribers=()),
     )
