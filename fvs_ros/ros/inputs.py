@@ -59,11 +59,6 @@ class NeverReady(CallbackGroup):
         """Never."""
         return False
 
-    beginning_execution = can_execute
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing has begun."""
-
 
 def take(subscription: Any) -> Any:
     """The next waiting message of a subscription, and its information; None if there is none."""
