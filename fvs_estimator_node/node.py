@@ -96,14 +96,11 @@ class EstimatorNode(ros.FvsNode):
         try:
             stamp_s = ros.from_stamp(message.header.stamp)
             joints = self._joint_map.positions(message.name, message.position, stamp_s)
-        except ForeignJointsError as error:
-            # Joint states of another device are an error only while ours have never arrived.
-            if np.isinf(self._joints_s):
-                self._complain(str(error))
-            return
         except JointStateError as error:
-            self._loop.lose_joints()
-            self._complain(str(error))
+            # Joint states of another device are an error only while ours have never arrived.
+            if not isinstance(error, ForeignJointsError) or np.isinf(self._joints_s):
+                self._loop.lose_joints()
+                self._complain(str(error))
             return
         self._joints_s, self._stamp_s = self.now_s(), stamp_s
         self._loop.learns = self._learns
