@@ -33,9 +33,7 @@ class CollectorNode(ros.FvsNode):
         super().__init__("fvs_collector_node", PARAMETERS)
         self._config = config = CollectorConfig.from_values(self.values)
         self._path = output_file(config.output_path)
-        self._names = config.joint_names
-        self._joint_map = JointMap(self._names, config.tf_prefix)
-        self._simulated_time = self.get_parameter("use_sim_time").value
+        self._joint_map = JointMap(config.joint_names, config.tf_prefix)
         self._run = CollectionRun(config)
         self._bar = tqdm(
             total=config.duration_s,
@@ -117,14 +115,14 @@ class CollectorNode(ros.FvsNode):
             return False
         data = data_set_of(
             *samples,
-            joint_names=tuple(self._names),
+            joint_names=self._config.joint_names,
             feature_frame=self._config.feature_frame,
             feature=self._config.feature,
             camera_mount=self._config.camera_mount,
             cameras=self._config.kind.cameras,
             provenance={
                 "collected": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-                "simulated_time": bool(self._simulated_time),
+                "simulated_time": self.get_parameter("use_sim_time").value,
                 "parameters": self.values,
                 "ended": self._run.reason if self._run.ended else "interrupted",
             },
