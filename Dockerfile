@@ -8,7 +8,8 @@ RUN apt-get update \
     && rosdep update --rosdistro jazzy \
     && rosdep install --from-paths src --ignore-src --rosdistro jazzy --skip-keys rviz2 -y \
     && rm -rf /var/lib/apt/lists/*
-RUN pip install --no-cache-dir --break-system-packages pybullet-arm64
+# Tags need a newer OpenCV than apt has, and apt's NumPy no newer than this.
+RUN pip install --no-cache-dir --break-system-packages pybullet-arm64 "opencv-python-headless<4.12"
 COPY . src/fvs_ros
 RUN . /opt/ros/jazzy/setup.sh && colcon build --symlink-install
 CMD ["bash", "-c", "source install/setup.bash && ros2 launch fvs_ros fvs.launch.py scenario:=demo"]

@@ -112,7 +112,9 @@ setup(
     # What the cores need without ROS; in a ROS workspace rosdep brings these by apt.
     install_requires=[
         "numpy>=1.26,<3",
-        "scipy>=1.11,<2",
+        # From 1.12 to 1.15 its nnls returns what is not the least, without a word
+        # (https://github.com/scipy/scipy/issues/25389).
+        "scipy>=1.11,!=1.12.*,!=1.13.*,!=1.14.*,!=1.15.*,<2",
         "threadpoolctl>=3.1,<4",
         "PyYAML>=6.0.1,<7",
         "tqdm>=4.66,<5",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -61,7 +62,17 @@ class Tag(Parameters):
     @property
     def dictionary(self) -> cv2.aruco.Dictionary:
         """The family, as OpenCV has it."""
-        return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.tag_dictionary}"))
+        if not hasattr(cv2.aruco, "ArucoDetector"):
+            raise ValueError(
+                f"tags need OpenCV 4.7 or newer, this is {cv2.__version__}: "
+                "pip install 'opencv-python-headless<4.12'"
+            )
+        name = f"DICT_{self.tag_dictionary}"
+        family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+        if distance := re.search(r"(?<=h)\d+$", name, re.IGNORECASE):
+            # Of AprilTags OpenCV before 4.14 corrects no bit: a reflection hides the tag.
+            family.maxCorrectionBits = (int(distance[0]) - 1) // 2
+        return family
 
     @property
     def cells(self) -> int:

@@ -75,9 +75,8 @@ def test_nothing_in_the_current_folder_is_run_and_a_killed_launcher_leaves_nothi
     for name in ("yaml", "numpy", "runpy", "signal", "multiprocessing", "pickle", "fvs_ros"):
         (here / f"{name}.py").write_text("import os; open('run', 'a').write(__file__)")
     if sys.version_info < (3, 11):  # where Python itself starts others with the folder on the path
-        (here / "multiprocessing.py").unlink()
-        (here / "pickle.py").unlink()
-        (here / "signal.py").unlink()
+        for name in ("multiprocessing", "pickle", "runpy", "signal"):
+            (here / f"{name}.py").unlink()
     truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
     # For a look at the images the simulator starts a process.
     ros_test.node.create_subscription(Image, topics.COLOR_IMAGE.name, lambda _: None, 1)

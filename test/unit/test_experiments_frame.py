@@ -17,7 +17,7 @@ INF = float("inf")
 def test_the_interval_of_a_median_is_that_of_scipy():
     data = np.random.default_rng(1).lognormal(size=41)
     own = median(data)
-    other = bootstrap((data,), np.median, method="percentile", n_resamples=4000, rng=2)
+    other = bootstrap((data,), np.median, method="percentile", n_resamples=4000, random_state=2)
     assert own.value == np.median(data)
     assert own.low == pytest.approx(other.confidence_interval.low, rel=0.1)
     assert own.high == pytest.approx(other.confidence_interval.high, rel=0.1)

@@ -283,6 +283,13 @@ def test_what_cannot_be_printed_is_refused(arguments, words, capsys, tmp_path, m
     assert not list(tmp_path.iterdir())
 
 
+def test_an_opencv_that_is_too_old_for_tags_is_said(capsys, tmp_path, monkeypatch):
+    """Ubuntu 24.04 has 4.6."""
+    monkeypatch.delattr(cv2.aruco, "ArucoDetector")
+    assert program.main(["-o", str(tmp_path / "tag.pdf")]) == 2
+    assert "tags need OpenCV 4.7 or newer" in capsys.readouterr().err
+
+
 def test_the_usual_page_is_a_pdf(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert program.main([]) == 0
