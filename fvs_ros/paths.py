@@ -13,14 +13,12 @@ from warnings import warn
 PACKAGE = "fvs_ros"
 #: Where ROS is installed, if it is: programs that sourced none find its meshes, too.
 _INSTALLED = Path("/opt/ros")
-#: Like ``python -m``, but never imports what lies in the working directory (the empty name).
+#: Like ``python -m``, but never imports what lies in the working directory (the empty name). The
+#: kernel (Linux) sends it SIGTERM when the parent has died: PR_SET_PDEATHSIG is 1.
 _RUN = (
-    "import sys; sys.path[:] = filter(None, sys.path); {first}import runpy; "
+    "import sys; sys.path[:] = filter(None, sys.path); import ctypes, os, runpy; "
+    "ctypes.CDLL(None).prctl(1, 15); os.getppid() == {parent} or sys.exit(1); "
     "runpy.run_module({module!r}, run_name='__main__', alter_sys=True)"
-)
-#: Has the kernel (Linux) send SIGTERM when the parent has died: PR_SET_PDEATHSIG is 1.
-_DIE_WITH_PARENT = (
-    "import ctypes, os; ctypes.CDLL(None).prctl(1, 15); os.getppid() == {parent} or sys.exit(1); "
 )
 
 
@@ -84,13 +82,12 @@ def find_mesh(name: str, urdf: Path | None = None) -> Path | None:
     return next((candidate for candidate in candidates if candidate.is_file()), None)
 
 
-def program(module: str, dies_with_parent: bool = False) -> list[str]:
+def program(module: str) -> list[str]:
     """Command that runs a module as a program, in this Python.
 
-    With ``dies_with_parent`` it gets SIGTERM when this process ends, even if that was killed.
+    It gets SIGTERM when this process ends, even if that was killed.
     """
-    first = _DIE_WITH_PARENT.format(parent=os.getpid()) if dies_with_parent else ""
-    return [sys.executable, "-c", _RUN.format(module=module, first=first)]
+    return [sys.executable, "-c", _RUN.format(module=module, parent=os.getpid())]
 
 
 def registered(registry: str, own: dict[str, Any]) -> dict[str, Any]:

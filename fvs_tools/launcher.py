@@ -55,7 +55,7 @@ class _Process:
         # A task prints to the terminal itself (tables, a progress bar); other output is prefixed.
         out, err = terminal if self.entry.task else (subprocess.PIPE, subprocess.STDOUT)
         self.popen = subprocess.Popen(
-            [*program(self.entry.module, dies_with_parent=True), *arguments],
+            [*program(self.entry.module), *arguments],
             pass_fds=[params],
             stdin=subprocess.DEVNULL,
             stdout=out,

@@ -73,7 +73,7 @@ def _nodes(context):
         words += [f"--{name}={rule}" for rule in arguments[name].split()]
     loop = ExecuteProcess(
         name="fvs_launch",
-        cmd=[*program("fvs_tools.launcher", dies_with_parent=True), *words],
+        cmd=[*program("fvs_tools.launcher"), *words],
         output="screen",
         # It gives commanding nodes, others and observers 5 s each, and takes any signal.
         sigterm_timeout="1",

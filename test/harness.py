@@ -134,7 +134,7 @@ class Harness:
         path = self.folder / f"{len(self.processes)}_{module}.log"
         with path.open("w", encoding="utf-8") as log:
             process = subprocess.Popen(
-                [*program(module, dies_with_parent=True), *arguments],
+                [*program(module), *arguments],
                 stdout=log if self.sink is None else self.sink,
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,
