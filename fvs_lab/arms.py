@@ -119,12 +119,11 @@ def learn(arm: str, feature: str, duration_s: float) -> tuple[TrainedModel, floa
     return trained, float(np.median(relative_errors(learned, true)))
 
 
-def servo(task: tuple[str, str, int, float]) -> list[dict[str, Any]]:
-    """Learn an arm from a motion, s, and servo it to a number of random targets: a row for each.
+def servo(arm: str, feature: str, count: int, duration_s: float) -> list[dict[str, Any]]:
+    """Learn an arm from a motion, and servo it to a number of random targets: a row for each.
 
     Targets are in the box of the data, where the feature is seen and far away.
     """
-    arm, feature, count, duration_s = task
     trained, error = learn(arm, feature, duration_s)
     simulation = built(replace(FEATURES[feature], robot=arm))
     kind, chain = simulation.kind, simulation.world.chain

@@ -83,9 +83,8 @@ def motion(seed: int, feature: str, duration_s: float = MOTION_S) -> CollectorCo
     )
 
 
-def by_motion(task: tuple[int, str, float]) -> list[dict[str, Any]]:
-    """Collect as the collector does for a time, s, and calibrate: a row for each size of zeros."""
-    seed, feature, duration_s = task
+def by_motion(seed: int, feature: str, duration_s: float) -> list[dict[str, Any]]:
+    """Collect as the collector does, and calibrate: a row for each size of zeros."""
     simulation = simulation_of(Conditions(feature=feature, position_noise_m=0.0))
     data = collect(simulation, motion(seed, feature, duration_s))
     rows = []

@@ -182,9 +182,10 @@ def score(recording: Recording, jacobian: np.ndarray, duration_s: float) -> dict
     }
 
 
-def judge_all(job: tuple[str, Conditions, int, float]) -> list[dict[str, Any]]:
-    """Make a recording (world, conditions, seed, length in s), and judge all on it."""
-    world, conditions, seed, duration_s = job
+def judge_all(
+    world: str, conditions: Conditions, seed: int, duration_s: float
+) -> list[dict[str, Any]]:
+    """Make a recording, and judge all on it."""
     axis = np.random.default_rng([seed, 2]).normal(size=3)
     conditions = replace(conditions, camera_carried_deg=along(axis, WORLDS[world]))
     if world == SILENT:

@@ -12,6 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -59,17 +60,22 @@ class Context:
         """All items, or the first few in a quick run."""
         return list(items)[: count if self.quick else None]
 
-    def map(self, function: Callable[[T], R], items: Iterable[T], label: str) -> list[R]:
-        """Apply a function to all items, by the workers, with a progress bar."""
+    def map(self, function: Callable[..., R], items: Iterable[Any], label: str) -> list[R]:
+        """Apply a function to all items, by the workers, with a progress bar.
+
+        A tuple holds the function's arguments.
+        """
         from tqdm import tqdm
 
-        items = list(items)
+        items = [item if isinstance(item, tuple) else (item,) for item in items]
         if not sys.stderr.isatty():
             print(f"   {label}: {len(items)} runs ...", flush=True)
-        done = self.workers(function, items)
+        done = self.workers(partial(_apply, function), items)
         return list(tqdm(done, desc=label, total=len(items), leave=False, disable=None))
 
-    def rows(self, function: Callable[[T], Iterable[R]], items: Iterable[T], label: str) -> list[R]:
+    def rows(
+        self, function: Callable[..., Iterable[R]], items: Iterable[Any], label: str
+    ) -> list[R]:
         """The same of a function that makes several rows of an item: all of them."""
         return [row for rows in self.map(function, items, label) for row in rows]
 
@@ -86,6 +92,10 @@ class Context:
                 for trial in trials
             ]
         return Results(self.map(run_trial, trials, label))
+
+
+def _apply(function: Callable[..., R], arguments: tuple[Any, ...]) -> R:
+    return function(*arguments)
 
 
 # ---- what is claimed ------------------------------------------------------------------------

@@ -99,12 +99,6 @@ def _put(simulation: Simulation, pose: RigidPose, velocity_m_s: Vector = (0.0, 0
     simulation.configure(replace(config, object_velocity_m_s=velocity_m_s))
 
 
-def _ahead(simulation: Simulation, away_m: float, aslant_rad: np.ndarray) -> RigidPose:
-    """A tag in the middle of the picture, world frame, rotated from facing the camera."""
-    rotation = FACING @ rotation_from_vector(aslant_rad)
-    return simulation.camera.pose_from_own(RigidPose(np.array([0.0, 0.0, away_m]), rotation))
-
-
 def _view(simulation: Simulation, joints_rad: Joints, bump: Bump | None) -> np.ndarray | None:
     """Where the object is in the picture from there; None if it is not seen, also after a blow."""
     simulation.reset(joints_rad)
@@ -147,9 +141,10 @@ class Arm:
         ).changed(controller={**NEAR, **self.held})
 
 
-def learn(task: tuple[str, str, float], servos: Mapping[str, Any] | None = None) -> Arm:
-    """Move an arm as the collector does, for a time, s, before the first object; with servos."""
-    name, feature, duration_s = task
+def learn(
+    name: str, feature: str, duration_s: float, servos: Mapping[str, Any] | None = None
+) -> Arm:
+    """Move an arm as the collector does before the first object; with servos."""
     simulation = _simulation(name, feature)
     simulation.configure(replace(simulation.config, **(servos or {})))
     names, where = simulation.world.joint_names, ROOM.camera_mount
@@ -173,8 +168,9 @@ def second_object(arm: Arm, number: int, bump: Bump | None = None) -> tuple[Simu
     middle, (low, high) = simulation.world.start_rad(ROOM), arm.box_rad
     while True:
         simulation.reset(0.5 * (middle + rng.uniform(low, high)))
-        aslant_rad = rng.uniform(-ASLANT_RAD, ASLANT_RAD, 3)
-        _put(simulation, _ahead(simulation, ROOM.ahead_m, aslant_rad))
+        rotation = FACING @ rotation_from_vector(rng.uniform(-ASLANT_RAD, ASLANT_RAD, 3))
+        ahead = RigidPose(np.array([0.0, 0.0, ROOM.ahead_m]), rotation)
+        _put(simulation, simulation.camera.pose_from_own(ahead))
         for _ in range(100):  # may be seen from nowhere else
             start, goal = map(tuple, rng.uniform(low, high, (2, low.size)).tolist())
             first, last = (_view(simulation, joints, bump) for joints in (start, goal))
@@ -196,16 +192,16 @@ def over_floor(row: dict[str, Any], simulation: Simulation, case: Case) -> dict[
     return {**row, "over_5mm": row["to_5mm_s"] / floor_s(simulation, case, seen)}
 
 
-def to_second(task: tuple[Arm, int]) -> dict[str, Any]:
+def to_second(arm: Arm, number: int) -> dict[str, Any]:
     """Servo to a second object: the row."""
-    arm, (simulation, case) = task[0], second_object(*task)
+    simulation, case = second_object(arm, number)
     labels = {"part": "arms", "arm": arm.name, "joints": len(case.goal_rad), "learned": arm.error}
     return over_floor(run(arm.trial(case, **labels), simulation), simulation, case)
 
 
-def with_images(task: tuple[Arm, int]) -> dict[str, Any]:
+def with_images(arm: Arm, number: int) -> dict[str, Any]:
     """As to the second object, with rendered images in place of the exact camera: the row."""
-    arm, (simulation, case) = task[0], second_object(*task)
+    simulation, case = second_object(arm, number)
     simulation.configure(replace(simulation.config, rendered=True, position_noise_m=0.0))
     return run(arm.trial(case, setting=IMAGES), simulation)
 
@@ -219,10 +215,10 @@ class Calibrated(OnArmPoeEstimator):
         self.updates += 1
 
 
-def with_hand_eyes(task: tuple[Arm, int]) -> list[dict[str, Any]]:
+def with_hand_eyes(arm: Arm, number: int) -> list[dict[str, Any]]:
     """Servo by the URDF and hand-eyes that are off: a row each."""
-    arm, (simulation, case) = task[0], second_object(*task)
-    axis, way = np.random.default_rng([432, task[1]]).normal(size=(2, 3))
+    simulation, case = second_object(arm, number)
+    axis, way = np.random.default_rng([432, number]).normal(size=(2, 3))
     free = arm.trial(case, setting="none", scheme=FREE).changed(controller=OPEN)
     rows = [run(free, simulation)]
     for name, (off_deg, off_m) in HAND_EYES.items():
@@ -238,9 +234,8 @@ def with_hand_eyes(task: tuple[Arm, int]) -> list[dict[str, Any]]:
     return rows
 
 
-def bumped(task: tuple[Arm, int]) -> dict[str, Any]:
+def bumped(arm: Arm, number: int) -> dict[str, Any]:
     """Servo undisturbed, then with a blow to the bracket on the way: the row of the second."""
-    arm, number = task
     rng = np.random.default_rng([433, number])
     blow = along(rng.normal(size=3), BLOW_DEG), along(rng.normal(size=3), BLOW_M)
     simulation, case = second_object(arm, number, Bump(0.0, *blow))
@@ -250,9 +245,8 @@ def bumped(task: tuple[Arm, int]) -> dict[str, Any]:
     return {**row, "over_undisturbed": row["to_5mm_s"] / undisturbed_s}
 
 
-def on_belt(task: tuple[Arm, int]) -> dict[str, Any]:
+def on_belt(arm: Arm, number: int) -> dict[str, Any]:
     """Stay before an object on a belt: the row, whose distance is that of the last second."""
-    arm, number = task
     simulation = _simulation(arm.name, arm.feature)
     angle = np.random.default_rng([434, number]).uniform(0.0, 2.0 * np.pi)
     velocity_m_s = along(np.array([np.cos(angle), np.sin(angle), 0.0]), BELT_M_S)
@@ -283,9 +277,8 @@ def view(rng: np.random.Generator) -> np.ndarray:
     return KIND.inverse(KIND.of_body(rng.uniform(*CNS_M) * away, rotation))
 
 
-def cns(task: tuple[Arm, int]) -> list[dict[str, Any]]:
+def cns(arm: Arm, number: int) -> list[dict[str, Any]]:
     """Servo between two such views of a tag on a table, kept in view or not: a row each."""
-    arm, number = task
     simulation = _simulation(arm.name, arm.feature)
     rng, home = np.random.default_rng([435, number]), simulation.world.start_rad(ROOM)
     _put(simulation, TABLE)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,12 +31,11 @@ RUN_S, REST_S = 10.0, 5.0
 LEARNED, TOLD, UNKNOWN = "play learned", "play told exactly", "play unknown"
 RESTING, PLAIN = "no play, rest_when_settled", "no play"
 
-Task = tuple[Arm, str, Mapping[str, Any], Mapping[str, Any], int]
 
-
-def to_rest(task: Task) -> dict[str, Any]:
+def to_rest(
+    arm: Arm, setting: str, servos: Mapping[str, Any], values: Mapping[str, Any], number: int
+) -> dict[str, Any]:
     """Servo to a ball elsewhere and stay there: the row."""
-    arm, setting, servos, values, number = task
     simulation, case = second_object(arm, number)
     simulation.configure(replace(simulation.config, **servos))
     trial = arm.trial(case, setting=setting, learned=arm.error)
@@ -64,8 +62,9 @@ def to_rest(task: Task) -> dict[str, Any]:
 
 def measure(context: lab.Context) -> Results:
     """Learn with and without play, and servo with play known, told and unknown."""
-    learned = partial(learn, (ROBOT, Ball.name, 15.0 if context.quick else MOTION_S))
-    playful, firm = context.map(learned, (PLAYFUL, SHORT), "one ball")
+    duration_s = 15.0 if context.quick else MOTION_S
+    minutes = [(ROBOT, Ball.name, duration_s, servos) for servos in (PLAYFUL, SHORT)]
+    playful, firm = context.map(learn, minutes, "one ball")
     play_rad = np.full(len(firm.chain.axes), PLAYFUL["backlash_rad"])
     told = replace(firm, chain=replace(firm.chain, play_rad=play_rad))
     settings = [

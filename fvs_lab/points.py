@@ -220,9 +220,8 @@ def servo(room: Room, models: Sequence[Any], name: str, case: Case) -> dict[str,
     }
 
 
-def of_task(job: tuple[str, Task, int]) -> list[dict[str, Any]]:
+def of_task(part: str, task: Task, count: int) -> list[dict[str, Any]]:
     """The contestants in a part's task, for some targets: their rows."""
-    part, task, count = job
     room, models = learned_room(task)
     condition = task.noise if task.k1 == K1 else f"k1 = {task.k1:g}"
     labels = {"part": part, "task": task.name, "condition": condition}
@@ -245,9 +244,8 @@ def fit_or_why(room: Room, seed: int) -> tuple[list[PixelFit], str]:
         return [], str(error).partition(",")[0]
 
 
-def fitted(job: tuple[float, float, int]) -> dict[str, Any]:
-    """Fit a chain before a random webcam, by noise, px, k1 and seed: how far off it is."""
-    noise_px, k1, seed = job
+def fitted(noise_px: float, k1: float, seed: int) -> dict[str, Any]:
+    """Fit a chain before a random webcam: how far off it is."""
     rng, arm = np.random.default_rng([443, seed]), _ur5(1)
     samples = HOME_RAD + BOX_RAD * rng.uniform(-1.0, 1.0, (500, len(HOME_RAD)))
     while True:
@@ -275,9 +273,8 @@ def world(number: int) -> dict[str, Any]:
     return {**servo(room, [SimpleNamespace(chain=fit.chain) for fit in fits], "best", case), **row}
 
 
-def judge_all(job: tuple[str, int]) -> list[dict[str, Any]]:
-    """Judge estimators on a recording with a noise, by its name, and a seed: their rows."""
-    noise, seed = job
+def judge_all(noise: str, seed: int) -> list[dict[str, Any]]:
+    """Judge estimators on a recording with a noise, by its name: their rows."""
     room, models = learned_room(Task(noise=noise))
     recording = judge.record(seed, room, PATH_S)  # type: ignore[arg-type]
     rows = []

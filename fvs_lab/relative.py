@@ -424,9 +424,8 @@ def look_then_move(task: Task) -> dict[str, Any]:
     return rest(task, KIND.minus(scene.true_feature(), truth)[None])
 
 
-def rows_of(job: tuple[Setting, int]) -> list[dict[str, Any]]:
+def rows_of(setting: Setting, number: int) -> list[dict[str, Any]]:
     """The rows of a setting's contestants in one drawn task."""
-    setting, number = job
     task = setting.task(number)
     runs: dict[str, Callable[[], dict[str, Any]]] = {
         name: partial(repeat, task, ours(name)) for name in OURS
