@@ -64,9 +64,7 @@ SETTINGS = hypothesis.settings(
     suppress_health_check=list(hypothesis.HealthCheck),
 )
 #: Shrinking takes minutes; a test cannot wait for it.
-_SHRINKS = hypothesis.settings(
-    SETTINGS, database=None, phases=[hypothesis.Phase.generate, hypothesis.Phase.shrink]
-)
+_SHRINKS = hypothesis.settings(SETTINGS, phases=[*SETTINGS.phases, hypothesis.Phase.shrink])
 
 N_AXES = HOME_BALL_M.size
 ODD = (

@@ -54,9 +54,9 @@ class Arm:
         self._joints_rad, self._velocity_rad_s = np.array(HOME_JOINTS_RAD), np.zeros(6)
         self._home_m, self._side = self._ball_m(), 1.0
         self._period_s, self._image_s, self._target_s = 1.0 / rate_hz, 0.0, 0.0
-        self._sent = -1.0, False  # when the last joint state went, s, and whether with an image
-        #: Times to the first command after each joint state, ms, and whether with an image.
-        self.answers = []
+        self._sent_s = None  # when the last image went, s, until it is answered
+        #: Times to the first command after each image, ms.
+        self.answers_ms = []
 
     def _ball_m(self):
         return CAMERA.to_own(CHAIN.position(self._joints_rad))
@@ -66,10 +66,9 @@ class Arm:
         return bool(self._velocity_rad_s.any())
 
     def _on_command(self, data):
-        sent_s, with_image = self._sent
-        if sent_s > 0.0:
-            self.answers.append((1e3 * (time.monotonic() - sent_s), with_image))
-            self._sent = -1.0, False
+        if self._sent_s is not None:
+            self.answers_ms.append(1e3 * (time.monotonic() - self._sent_s))
+            self._sent_s = None
         self._velocity_rad_s = np.frombuffer(data[-48:])
 
     def _step(self, now_s):
@@ -80,10 +79,8 @@ class Arm:
             self._target_s, self._side = now_s, -self._side
             target_m = self._home_m + self._side * OFFSET_M
             self._targets.publish(ros.to_feature(stamp_s, CAMERA_FRAME, Ball(), target_m))
-        with_image = now_s - self._image_s > IMAGE_PERIOD_S
-        self._sent = now_s, with_image
-        if with_image:
-            self._image_s = now_s
+        if now_s - self._image_s > IMAGE_PERIOD_S:
+            self._image_s = self._sent_s = now_s
             self._balls.publish(ros.to_feature(stamp_s, CAMERA_FRAME, Ball(), self._ball_m()))
         both = self._joints_rad, self._velocity_rad_s
         self._joints.publish(ros.to_joint_state(stamp_s, UR_JOINT_NAMES, *both))
@@ -128,10 +125,7 @@ def _used_s(process):
 
 
 def run(processes, rate_hz=RATE_HZ):
-    """Play an arm for some processes.
-
-    Percent of a core, and times to the command after joint states and after images, ms.
-    """
+    """Play an arm for some processes: percent of a core, and times from image to command, ms."""
     with tempfile.TemporaryDirectory() as name, closing(Harness(Path(name))) as harness:
         nodes = [harness.start(module, *arguments) for module, arguments in processes]
         arm = Arm(harness.context, rate_hz)
@@ -139,12 +133,11 @@ def run(processes, rate_hz=RATE_HZ):
         if not arm.moves:
             raise RuntimeError("the arm does not move")
         arm.play(WARM_UP_S)
-        arm.answers.clear()
+        arm.answers_ms.clear()
         before_s = [_used_s(node) for node in nodes]
         arm.play(SECONDS)
         used_s = [_used_s(node) - used for node, used in zip(nodes, before_s, strict=True)]
-    images_ms = [answer_ms for answer_ms, with_image in arm.answers if with_image]
-    return 100.0 * sum(used_s) / SECONDS, [answer_ms for answer_ms, _ in arm.answers], images_ms
+    return 100.0 * sum(used_s) / SECONDS, arm.answers_ms
 
 
 def computed_ms(rate_hz):
@@ -177,14 +170,13 @@ def main():
     for _ in range(ROUNDS):
         for label, processes in STARTS.items():
             runs[label].append(run(processes))
-    percents = {label: np.median([percent for percent, *_ in runs[label]]) for label in runs}
+    percents = {label: np.median([percent for percent, _ in runs[label]]) for label in runs}
     print(f"an arm at {RATE_HZ:g} Hz, {ROUNDS} times: percent of a core, times the bare nodes")
     for label, percent in percents.items():
         ratios = "".join(f"{percent / floor:7.2f}" for floor in list(percents.values())[:2])
         print(f"  {label:24s} {percent:5.1f}   {ratios}")
-        _, *answers_ms = zip(*runs[label], strict=True)
-        for what, times_ms in zip(("joint state", "image stamp"), answers_ms, strict=True):
-            print(f"    {what} to command {spread(np.concatenate(times_ms), 'ms')}", flush=True)
+        answers_ms = np.concatenate([answers_ms for _, answers_ms in runs[label]])
+        print(f"    image stamp to command {spread(answers_ms, 'ms')}", flush=True)
     fast = servo(method="poe", law="minimum_time", joint_state_rate_hz=FAST_HZ)
     print(f"best at {FAST_HZ:g} Hz, in one process: {run(fast, FAST_HZ)[0]:.1f} %")
     for label, times_ms in zip(("tick", "joint state"), computed_ms(FAST_HZ), strict=True):
