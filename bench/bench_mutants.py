@@ -216,13 +216,12 @@ class Tested(NamedTuple):
 
 def takes_any_mount():
     """The controller takes references that were taught with another camera mount."""
-    begin = References.__init__
+    parse = References._parse
 
-    def init(self, *args):
-        begin(self, *args)
-        self._origin["mount"] = mock.ANY
+    def take(self, entry):
+        return parse(self, {**entry, "mount": self._origin["mount"]})
 
-    return mock.patch.object(References, "__init__", init)
+    return mock.patch.object(References, "_parse", take)
 
 
 _NEVER_ASTRAY = stays(Progress, "travel_m", 0.0)
