@@ -21,7 +21,6 @@ from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.results import Results, label_of
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, along, relative_errors, simulation_of
-from fvs_ros.kinds import Kind
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.closed_loop import make_estimator
 
@@ -88,20 +87,6 @@ class Recording:
     true_jacobian: np.ndarray
 
 
-class _Recorder(Estimator):
-    """Keeps the steps that an estimator learns from."""
-
-    def __init__(self, kind: Kind) -> None:
-        super().__init__(kind)
-        self.steps: list[MotionStep] = []
-
-    def jacobian(self, joints_rad: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
-        raise NotImplementedError
-
-    def update(self, step: MotionStep) -> None:
-        self.steps.append(step)
-
-
 def record(seed: int, simulation: Simulation, duration_s: float) -> Recording:
     """Move a simulated UR5, and record measurements and ground truth.
 
@@ -116,7 +101,10 @@ def record(seed: int, simulation: Simulation, duration_s: float) -> Recording:
     )
     motion = RandomMotion(HOME_RAD, config, np.random.default_rng([seed, 1]))
     simulation.reset(HOME_RAD, seed)
-    recorder = _Recorder(simulation.kind)
+    steps = list[MotionStep]()
+    recorder = make_estimator("oracle", simulation)
+    recorder.learns = True
+    recorder.update = steps.append  # type: ignore[method-assign]  # it keeps what others learn from
     loop = EstimationLoop(recorder)
     period_s = 1.0 / simulation.config.joint_state_rate_hz
     joints = simulation.joints_rad
@@ -130,7 +118,6 @@ def record(seed: int, simulation: Simulation, duration_s: float) -> Recording:
             if image.z is not None:
                 loop.add_image(image.stamp_s, image.z)
         loop.add_joints(out.time_s, joints)
-    steps = recorder.steps
     ends = np.array([exposed_rad[round(1e6 * step.stamp_s)] for step in steps])
     starts = np.array([exposed_rad[round(1e6 * (step.stamp_s - step.dt_s))] for step in steps])
     kind, chain = simulation.kind, simulation.true_chain()

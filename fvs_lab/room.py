@@ -55,24 +55,13 @@ class Noise:
 
 
 class Room:
-    """One arm before one webcam or two.
+    """One arm before one webcam or two, by its chain before each.
 
-    Parameters
-    ----------
-    chains : sequence of PixelChain
-        The arm as each webcam sees it.
-    home_rad, box_rad : ndarray, shape (n,)
-        Joints about which it moves, and half widths of the box that it moves in.
-    noise : Noise
-        Of images and encoders.
+    It moves about its home, in a box of these half widths, rad, (n,).
     """
 
     def __init__(
-        self,
-        chains: Sequence[PixelChain],
-        home_rad: np.ndarray,
-        box_rad: np.ndarray,
-        noise: Noise,
+        self, chains: Sequence[PixelChain], home_rad: np.ndarray, box_rad: np.ndarray, noise: Noise
     ) -> None:
         self.chains, self.noise = chains, noise
         self.home_rad, self.box_rad = home_rad, box_rad
