@@ -104,7 +104,8 @@ def record(seed: int, simulation: Simulation, duration_s: float) -> Recording:
     steps = list[MotionStep]()
     recorder = make_estimator("oracle", simulation)
     recorder.learns = True
-    recorder.update = steps.append  # type: ignore[method-assign]  # it keeps what others learn from
+    # It keeps what others learn from.
+    recorder.update = steps.append  # type: ignore[assignment, method-assign]
     loop = EstimationLoop(recorder)
     period_s = 1.0 / simulation.config.joint_state_rate_hz
     joints = simulation.joints_rad
