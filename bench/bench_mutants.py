@@ -22,14 +22,13 @@ from bench.bench_fuzz import IMPATIENT, N_AXES, Machine
 from bench.fuzz_world import BALL, FRESH_TICKS, JACOBIAN, OBJECT, BrokenPromiseError
 from fvs_controller_node.goal import Progress
 from fvs_controller_node.inbox import Inbox
-from fvs_controller_node.node import ControllerNode
 from fvs_controller_node.reasons import Finding, Reason
 from fvs_controller_node.references import References
 from fvs_controller_node.relation import Relation
 from fvs_controller_node.supervisor import Supervisor
 from fvs_estimator_node.in_view import InView
-from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.kinds.ball import Ball
 from fvs_ros.view import ViewConfig
 
 #: What happens to the controller: rules of the machine. Together they meet every reason.
@@ -139,17 +138,6 @@ def stays(part, name, value):
     return mock.patch.object(part, name, property(lambda _: value, lambda *_: None), create=True)
 
 
-def takes_any_frame():
-    """The controller takes every target for one in the camera's frame."""
-    on_target = ControllerNode._on_target
-
-    def take(self, message, camera=0):
-        message.header.frame_id = CAMERA_FRAME
-        on_target(self, message, camera)
-
-    return mock.patch.object(ControllerNode, "_on_target", take)
-
-
 class Mutant(NamedTuple):
     """The controller without one rule, the script that shows it, and what is seen broken."""
 
@@ -170,6 +158,7 @@ _FROZEN, _STUCK = "a frozen image is held", "an arm that does not follow is held
 _FAR = [9.0] * len(UR_JOINT_NAMES)
 _NO_LIMIT = {"workspace_min_m": [-9.0] * N_AXES, "workspace_max_m": [9.0] * N_AXES}
 _STAMPS = mock.patch("fvs_controller_node.loop.repeats", return_value=False)
+_ANY_FRAME = mock.patch.object(Ball, "any_frame", True)
 _SHARED = mock.patch("fvs_controller_node.inbox.Inbox.conflicting_command")
 _STANDS = stays(Relation, "moved_m", 0.0)
 _RAMP = mock.patch("fvs_ros.limiter.ramp_to_zero", lambda velocity, *_: 1.001 * velocity)
@@ -186,7 +175,7 @@ MUTANTS = (
     Mutant("always", disregards(max_joint_acceleration_rad_s2=9.0), "arrives", _SUDDEN),
     Mutant("always", _RAMP, "inputs fall silent", "only slower"),
     Mutant("always", disregards(joint_max_rad=_FAR), "a joint meets its end", _ENDS),
-    Mutant("a target in another frame", takes_any_frame(), "targets are wrong", _TARGET),
+    Mutant("a target in another frame", _ANY_FRAME, "targets are wrong", _TARGET),
     Mutant("a target in another frame", disregards(**_NO_LIMIT), "targets are wrong", _TARGET),
     Mutant("the Jacobian near singular", "NEAR_SINGULAR", "the Jacobian is singular", _SINGULAR),
     Mutant("the Jacobian predicting", "PREDICTION_ERROR", "the image is reversed", _WRONG),
