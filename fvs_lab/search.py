@@ -152,7 +152,7 @@ def search_all(
         )
         for index, (search, _) in enumerate(numbered)
     ]
-    best: list[tuple[float, np.ndarray]] = [(inf, np.empty(0))] * len(numbered)
+    best: list[tuple[np.ndarray, float]] = [(np.empty(0), inf)] * len(numbered)
     for generation in range(generations):
         asked = [[optimiser.ask() for _ in range(population)] for optimiser in optimisers]
         trials = [
@@ -167,10 +167,8 @@ def search_all(
             costs = [numbered[index][0].cost([next(runs) for _ in cases]) for _ in candidates]
             judged = list(zip(candidates, costs, strict=True))
             optimisers[index].tell(judged)
-            positions, cost = min(judged, key=lambda pair: pair[1])
-            if cost < best[index][0]:
-                best[index] = cost, positions
+            best[index] = min((best[index], *judged), key=lambda pair: pair[1])
     return [
         search.variant(positions).changed({"search": number})
-        for (search, number), (_, positions) in zip(numbered, best, strict=True)
+        for (search, number), (positions, _) in zip(numbered, best, strict=True)
     ]
