@@ -123,24 +123,17 @@ class Page:
 
     def close(self) -> None:
         """Stop serving; a browser that does not answer is not waited for long."""
-
-        def stop() -> None:
-            with _quiet():
-                self._server.stop()
-
-        thread = threading.Thread(target=stop, daemon=True)
-        thread.start()
-        thread.join(0.8)
+        thread = threading.Thread(target=self._server.stop, daemon=True)
+        with _quiet():
+            thread.start()
+            thread.join(0.8)
 
 
 def _check_free(host: str, port: int) -> None:
     """Refuse a port that is taken: viser would quietly take the next one."""
     try:
-        addresses = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM)
-        family, kind, protocol, _, address = addresses[0]
-        with socket.socket(family, kind, protocol) as trial:
-            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            trial.bind(address)
+        family, *_, address = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM)[0]
+        socket.create_server(address, family=family).close()
     except OSError as error:
         raise ValueError(
             f"the page cannot be served at {host}, port {port}: {error}; -p port:=0 takes any "
