@@ -96,23 +96,18 @@ def table(records: Sequence[TargetRecord]) -> str:
     def seconds(value: float | None) -> str:
         return "never" if value is None else f"{value:.2f} s"
 
-    scores, kind = [record.score() for record in records], records[0].kind
-    settled_text, fine_text = (f"to {kind.length_text(m)}" for m in (SETTLED_ERROR_M, FINE_ERROR_M))
-    width = max([9, *(len(score.final(kind)) for score in scores)])
-    lines = [
-        verdict(records),
-        f"{'target':>6}  {'start':>8}  {settled_text:>9}  {fine_text:>9}  {'final rms':>{width}}  "
-        f"{'peak joint speed':>16}",
-    ]
-    for number, (score, record) in enumerate(zip(scores, records, strict=True), start=1):
-        final, speed = score.final(kind), f"{score.peak_joint_speed_rad_s:>10.2f} rad/s"
-        row = (
-            f"{number:>6}  {kind.length_text(score.start_distance_m):>8}  "
-            f"{seconds(score.settling_5mm_s):>9}  {seconds(score.settling_2mm_s):>9}  "
-            f"{final:>{width}}  {speed}  {record.note}"
-        )
-        lines.append(row.rstrip())
-    return "\n".join(lines)
+    kind = records[0].kind
+    bounds = (f"to {kind.length_text(m)}" for m in (SETTLED_ERROR_M, FINE_ERROR_M))
+    rows = [("target", "start", *bounds, "final rms", "peak joint speed", "")]
+    for number, record in enumerate(records, start=1):
+        score = record.score()
+        start, final = kind.length_text(score.start_distance_m), score.final(kind)
+        settled = seconds(score.settling_5mm_s), seconds(score.settling_2mm_s)
+        speed = f"{score.peak_joint_speed_rad_s:.2f} rad/s"
+        rows.append((str(number), start, *settled, final, speed, record.note))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(map(str.rjust, row, widths)).rstrip() for row in rows)
+    return "\n".join([verdict(records), *lines])
 
 
 def write_results(folder: Path, records: Sequence[TargetRecord]) -> None:

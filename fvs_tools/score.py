@@ -60,8 +60,5 @@ def _rms(values: np.ndarray) -> float:
 def settling_time_s(times_s: np.ndarray, errors_m: np.ndarray, bound_m: float) -> float | None:
     """Time when the error, (n,), last fell below a bound; None if the record ends above it."""
     above = np.flatnonzero(~(errors_m < bound_m))  # an unknown error is not below
-    if above.size == 0:
-        return float(times_s[0])
-    if above[-1] + 1 >= len(errors_m):
-        return None
-    return float(times_s[above[-1] + 1])
+    first = above[-1] + 1 if above.size else 0
+    return float(times_s[first]) if first < len(times_s) else None
