@@ -121,9 +121,8 @@ def _paired(
         raise ValueError(
             f"{path}: no image has joint states at its stamp: {why or 'is there one clock?'}"
         )
-    short = (
-        max(Counter(sample.run for sample in samples).values()) < LEAST_RUN
-    )  # no motion to follow
+    # No motion to follow.
+    short = max(Counter(sample.run for sample in samples).values()) < LEAST_RUN
     still = any(rests) and (short or all(rests))
     if still and not all(rests):
         notes.insert(0, f"{rests.count(False)} images of still poses show the arm in motion")

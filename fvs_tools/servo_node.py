@@ -10,7 +10,6 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
-from collections import Counter
 from collections.abc import Sequence
 
 from fvs_controller_node.config import PARAMETERS as CONTROLLER
@@ -29,8 +28,8 @@ def make_nodes(namespaces: Sequence[str]) -> list[ros.FvsNode]:
     for namespace in namespaces or [""]:
         # The controller first: its command does not wait for the estimator.
         nodes += [ControllerNode(namespace), EstimatorNode(namespace)]
-    names = Counter(node.get_fully_qualified_name() for node in nodes)
-    twice = ", ".join(name for name, count in names.items() if count > 1)
+    names = [node.get_fully_qualified_name() for node in nodes]
+    twice = ", ".join(dict.fromkeys(name for name in names if names.count(name) > 1))
     if twice:
         raise ValueError(
             f"several nodes are called {twice}: each arm needs a namespace of its own, and neither "
