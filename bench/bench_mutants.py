@@ -213,11 +213,6 @@ def takes_any_mount():
     return mock.patch.object(References, "_parse", take)
 
 
-_NEVER_ASTRAY = stays(Progress, "travel_m", 0.0)
-_UNCHANGED = mock.patch.object(InView, "limited", lambda _, velocity, *rest: velocity)
-_FIRST = mock.patch("fvs_estimator_node.on_arm.min", lambda causes, **_: causes[0], create=True)
-_LOST = stays(Inbox, "lost", {0: "", 1: ""})
-
 TESTED = (
     Tested("a message or request", None, "faults/test_fuzz_messages.py"),
     Tested("any catchable signal", None, "faults/test_hostile_terminal.py"),
@@ -233,7 +228,7 @@ TESTED = (
     ),
     Tested(
         "joint states older",
-        _LOST,
+        stays(Inbox, "lost", {0: "", 1: ""}),
         "closed_loop/test_image_points.py::test_the_arm_rests_while_no_webcam_sees",
     ),
     Tested(
@@ -243,17 +238,17 @@ TESTED = (
     ),
     Tested(
         "the view's edge",
-        _UNCHANGED,
+        mock.patch.object(InView, "limited", lambda _, velocity, *rest: velocity),
         "unit/test_collecting.py::test_the_object_stays_in_view_of_a_camera_on_the_arm",
     ),
     Tested(
         "the image does not follow",
-        _NEVER_ASTRAY,
+        stays(Progress, "travel_m", 0.0),
         "closed_loop/test_camera_on_arm.py::test_an_image_that_stands_is_no_object_that_is_followed",
     ),
     Tested(
         "",
-        _FIRST,
+        mock.patch("fvs_estimator_node.on_arm.min", lambda causes, **_: causes[0], create=True),
         "unit/test_on_arm.py::test_an_object_on_a_belt_is_not_taken_for_a_bumped_bracket",
     ),
 )
