@@ -10,7 +10,6 @@ are the time, the travel and speed of each joint at that time, and its braking a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -51,12 +50,6 @@ class Limits:
         return travel, (peak - end_rad_s - cut) / steep, peak - cut
 
 
-@lru_cache(maxsize=1)
-def ur5() -> SerialChain:
-    """The simulated UR5's true kinematics, world frame."""
-    return simulation_of(Conditions()).world.chain
-
-
 def least_time_s(
     case: Case,
     limits: Limits,
@@ -83,7 +76,7 @@ def least_time_s(
     unit, travels, speeds, pieces, paths = _unknowns(joints, piece_s)
     rest = speeds + piece_s * pieces.sum(axis=0)
     signs, either_rad = np.repeat([1.0, -1.0], joints), np.vstack([travels, -travels])
-    arm = ur5() if arm is None else arm
+    arm = arm or simulation_of(Conditions()).world.chain  # by default that of the UR5
     target_m = arm.position(goal * share)
 
     # All joints are in units of their shares, and so have equal limits.
