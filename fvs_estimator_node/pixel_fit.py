@@ -106,10 +106,21 @@ class PixelFit(Fit):
 def fit_pixels(
     data: DataSet, progress: Callable[[str], None] | None = None, workers: Workers = map
 ) -> PixelFit:
-    """Fit a chain and its lens to a minute of motion of all joints, or to still poses.
+    """Fit a chain and its lens to pixels and joints.
 
-    As :func:`~fvs_estimator_node.chain_fit.fit_chain`, of the kind ``points``. A ``ChainFitError``
-    says, too, that the Jacobian is not known after the fit.
+    Parameters
+    ----------
+    data : DataSet
+        Of the kind ``points``: a minute of motion of all joints, or still poses.
+    progress : callable, optional
+        Called with a text at each stage.
+    workers : callable, optional
+        Try the starts; the result does not depend on them.
+
+    Raises
+    ------
+    ChainFitError
+        If there is too little data, nothing fits, or the Jacobian is not known after the fit.
     """
     say, path = progress or (lambda words: None), Path(data)
     images, least = len(path.indices), _LEAST_IMAGES

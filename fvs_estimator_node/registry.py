@@ -71,11 +71,23 @@ def create_estimator(
     load: Callable[[], TrainedModel] | None = None,
     kind: Kind | None = None,
 ) -> Estimator:
-    """Make one of ``ESTIMATORS``, of a kind of feature, by default a ball.
+    """Make an estimator.
 
-    ``values`` are parameters by name; those of other methods are ignored. ``load`` is called only
-    for a method that needs the trained model. A ``ValueError`` says that the method is unknown,
-    lacks its model, or that a value is out of range.
+    Parameters
+    ----------
+    method : str
+        One of ``ESTIMATORS``.
+    values : mapping, optional
+        Parameter values by name; those of other methods are ignored.
+    load : callable, optional
+        Loads the trained model; called only for a method that needs one.
+    kind : Kind, optional
+        The kind of feature; a ball by default.
+
+    Raises
+    ------
+    ValueError
+        If the method is unknown, lacks its model, or a value is out of range.
     """
     if method not in ESTIMATORS:
         raise ValueError(unknown("estimator method", method, sorted(ESTIMATORS)))

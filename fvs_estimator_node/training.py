@@ -76,17 +76,34 @@ def train(
     say: Callable[[str], None] | None = None,
     workers: Workers = map,
 ) -> TrainedModel:
-    """Train the networks, and fit a chain, to a minute of motion of all joints, or more.
+    """Train the networks, and fit a chain.
 
-    ``progress`` is called after each iteration of ``varpro``, ``say`` with a sentence at each step.
-    The workers try the starts of a chain; the result does not depend on them. A ``ValueError`` says
-    that the data determine nothing (TrainingError), or that ``poe`` finds no chain.
+    Parameters
+    ----------
+    data : DataSet
+        A minute of motion of all joints, or more.
+    options : TrainingOptions, optional
+        Method, size and seed.
+    progress : callable, optional
+        Called after each iteration of ``varpro``.
+    say : callable, optional
+        Called with a sentence at each step.
+    workers : callable, optional
+        Try the starts of a chain; the result does not depend on them.
 
-    The model's ``errors`` are the figures of the chain's fit; ``jacobian_deviation``, the relative
-    standard deviation of its Jacobian in the box (median); ``distillation_error``, the networks'
-    relative error against the chain (median); of several cameras, each figure of a fit for each,
-    with the camera's name before it; and for networks from pairs ``pair_error_m``, the rms error
-    between two held-out images, with the noise of both, m.
+    Returns
+    -------
+    TrainedModel
+        With ``errors``: the figures of the chain's fit; ``jacobian_deviation``, the relative
+        standard deviation of its Jacobian in the box (median); ``distillation_error``, the
+        networks' relative error against the chain (median); of several cameras, each figure of a
+        fit for each, with the camera's name before it; and for networks from pairs
+        ``pair_error_m``, the rms error between two held-out images, with the noise of both, m.
+
+    Raises
+    ------
+    ValueError
+        If the data determine nothing (TrainingError), or ``poe`` finds no chain.
     """
     options, say = options or TrainingOptions(), say or (lambda words: None)
     rng = np.random.default_rng(options.seed)

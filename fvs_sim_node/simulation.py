@@ -156,10 +156,16 @@ class Simulation:
     def reset(
         self, joints_rad: Sequence[float] | np.ndarray | None = None, seed: int | None = None
     ) -> None:
-        """Start again at time 0, at rest, the object in its place; the camera stays where it is.
+        """Start again at time 0 with the seed's noise, at rest, the object in its place.
 
-        By default with the joint angles, rad, (n,), and the seed of the configuration, which is
-        that of this run's noise and lost images.
+        The camera stays where it is mounted.
+
+        Parameters
+        ----------
+        joints_rad : array_like, shape (n,), optional
+            Joint angles, rad; default those of the configuration.
+        seed : int, optional
+            Seed of this run's noise and lost images; default that of the configuration.
         """
         config = self.config
         joints = self.world.start_rad(config, joints_rad)
@@ -186,11 +192,19 @@ class Simulation:
     def command(self, values: Sequence[float] | np.ndarray) -> str | None:
         """Command the joints, as ``forward_velocity_controller`` takes it.
 
-        The values, (n,), are velocities, rad/s, or, by ``command_interface``, positions, rad, in
-        kinematic order. They hold until the next ones, for ever if none come. Returns None if they
-        were taken, else why not. As with ros2_controllers' ``jazzy`` branch, a value that is not
-        finite drops the whole message, and a wrong number of values deactivates the controller: the
-        arm stops until ``active`` is set.
+        The command holds until the next one, for ever if none comes.
+
+        Parameters
+        ----------
+        values : array_like, shape (n,)
+            Velocities, rad/s, or, by ``command_interface``, positions, rad; kinematic order.
+
+        Returns
+        -------
+        str or None
+            None if it was taken, else why not. As with ros2_controllers' ``jazzy`` branch, a
+            value that is not finite drops the whole message, and a wrong number of values
+            deactivates the controller: the arm stops until ``active`` is set.
         """
         command = np.asarray(values, dtype=float).ravel()
         refusal = self._refusal(command)
@@ -401,9 +415,14 @@ class Simulation:
     def true_jacobian(
         self, joints_rad: Sequence[float] | np.ndarray, kind: Kind | None = None
     ) -> np.ndarray:
-        """Exact Jacobian of the feature, m/rad, (d, n), camera frame, at joint angles, rad, (n,).
+        """Exact Jacobian of the feature, m/rad, shape (d, n), camera frame.
 
-        By default of the configuration's kind of feature.
+        Parameters
+        ----------
+        joints_rad : array_like, shape (n,)
+            Joint angles, rad.
+        kind : Kind, optional
+            Of the feature; default that of the configuration.
         """
         kind = kind or self.kind
         return kind.along(self.true_chain(kind), np.asarray(joints_rad, dtype=float))[1]

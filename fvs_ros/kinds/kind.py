@@ -233,10 +233,14 @@ class Kind(Parameters):
         return motion_m
 
     def moved_by(self, z: np.ndarray, angular: np.ndarray, linear_m: np.ndarray) -> np.ndarray:
-        """Motions, m, (..., d, n), of z, (..., m), by n twists: ``v + w x p`` of a point p.
+        """Motions, m, (..., d, n), of z by n twists of space: ``v + w x p`` of a point p.
 
-        A twist of space is an angular velocity w, rad, (..., n, 3), and the velocity v of what is
-        at the camera's origin, m, (..., n, 3).
+        Parameters
+        ----------
+        z : ndarray, shape (..., m)
+            The measurement.
+        angular, linear_m : ndarray, shape (..., n, 3)
+            Angular velocity w, rad, and velocity v, m, of what is at the camera's origin.
         """
         moved = linear_m + angular @ cross_matrix(z[..., :3])
         return np.asarray(np.swapaxes(moved, -1, -2))
@@ -268,10 +272,16 @@ class Kind(Parameters):
         return numbers
 
     def through_lens(self, z: np.ndarray, focal: float, radial: float) -> np.ndarray:
-        """What a camera that counts with a wrong lens measures of true measurements, (k, m).
+        """What a camera measures, (k, m), of z, (k, m), that counts with a wrong lens.
 
-        ``focal`` is the true focal length over the assumed one, less 1, and ``radial`` the first
-        coefficient of distortion (k1) that is not removed.
+        Parameters
+        ----------
+        z : ndarray, shape (k, m)
+            The measurements with the true lens.
+        focal : float
+            True focal length over the assumed one, less 1.
+        radial : float
+            First coefficient of distortion (k1) that is not removed.
         """
         return z * self._lens_factor(z, focal, radial)
 
