@@ -37,5 +37,5 @@ def variant(name: str, conditions: Conditions = EXACT, **labels: Any) -> Trial:
 
 
 def floor_s(case: Case, arm: SerialChain | None = None) -> float:
-    """Least time until the ball stays within 5 mm, by the joints' limits, s."""
+    """Least time until ball or tag stays within 5 mm, by the joints' limits, s."""
     return least_time_s(case, Limits(*CLIPPED.values()), SETTLED_ERROR_M, arm)

@@ -52,11 +52,6 @@ def calibrated(off_deg: float, off_m: float, conditions: Conditions) -> Trial:
     return best.changed(learns=False, estimator_of=partial(_true_chain, off_deg, off_m))
 
 
-def floor_s(case: Case) -> float:
-    """Least time until the tag stays within 5 mm, by the joints' limits, s."""
-    return who.floor_s(case, simulation_of(EXACT).world.chain_with(Pose()))
-
-
 def rest(row: Mapping[str, Any]) -> dict[str, float]:
     """Final errors of position, m, and angle, degrees, rms over the last second."""
     kind, series, target_m = Pose(), row["series"], np.array(row["target_m"])
@@ -80,7 +75,8 @@ def at_rest(count: int) -> Iterator[Trial]:
 def measure(context: lab.Context) -> Results:
     """Run every scheme with an exact camera, some with images, and calibrated cameras."""
     cases = make_cases("P", context.count(60), 420, conditions=Conditions(feature=Pose.name))
-    floors_s = context.map(floor_s, cases, "the floor")
+    chain = simulation_of(EXACT).world.chain_with(Pose())
+    floors_s = context.map(who.floor_s, [(case, chain) for case in cases], "the floor")
     floors = dict(zip([case.name for case in cases], floors_s, strict=True))
     schemes = (*SEEN, *(name for name in who.CONTESTANTS if name not in SEEN))
     variants = [
