@@ -178,10 +178,8 @@ def _stop_all(processes: Sequence[_Process], first: _Process | None) -> int:
         _say(f"{first.end_text()}: stopping the rest")  # a task has said itself how it ended
     elif stop.RECEIVED:
         _say(f"{stop.name_of(stop.RECEIVED[0])}: stopping")
-    commanding = [process for process in processes if process.entry.commands_arm]
-    observing = [process for process in processes if process.entry.observer]
-    others = [each for each in processes if each not in (*commanding, *observing)]
-    for group in (commanding, others, observing):
+    for role in ((True, False), (False, False), (False, True)):
+        group = [p for p in processes if (p.entry.commands_arm, p.entry.observer) == role]
         for process in group:
             process.ask_to_end()
         deadline_s = time.monotonic() + _STOP_S
