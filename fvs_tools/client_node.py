@@ -89,7 +89,7 @@ class ServoClient:
     Raises
     ------
     ServoError
-        By every method but ``go_to``: the controller refuses, or does not answer.
+        By every method but ``go_to`` and ``move_to``: the controller refuses, or does not answer.
     """
 
     def __init__(self, node: Node | None = None, namespace: str | None = None) -> None:

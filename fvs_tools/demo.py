@@ -72,8 +72,7 @@ class TargetRecord:
     kind: Kind
     target: np.ndarray
     start_s: float
-    #: What to say behind its row of the table.
-    note: str = ""
+    note: str = ""  #: behind its row of the table
     #: Moments, s, and true features.
     truths: list[tuple[float, np.ndarray]] = field(default_factory=list)
     #: Moments, s, and joint velocities, rad/s.

@@ -13,13 +13,10 @@ from fvs_ros.arguments import unknown
 class Scheme:
     """One pair."""
 
-    #: The paper's name, in lower case.
-    name: str
-    #: The estimator's parameter ``method``, and the controller's parameter ``law``.
-    method: str
-    law: str
-    #: One sentence for a user.
-    description: str
+    name: str  #: the paper's, in lower case
+    method: str  #: the estimator's parameter
+    law: str  #: the controller's
+    description: str  #: one sentence for a user
     #: Further parameters of the two nodes, where they differ from the defaults.
     estimator_values: Mapping[str, Any] = field(default_factory=dict)
     controller_values: Mapping[str, Any] = field(default_factory=dict)
@@ -71,13 +68,12 @@ def scheme(name: Scheme | str) -> Scheme:
     if isinstance(name, Scheme):
         return name
     known = {**SCHEMES, **BEYOND}
-    method, plus, law = name.partition("+")
-    if plus and name not in known:
-        from fvs_controller_node.config import LAWS
-        from fvs_estimator_node.registry import ESTIMATORS
+    if name in known:
+        return known[name]
+    from fvs_controller_node.config import LAWS
+    from fvs_estimator_node.registry import ESTIMATORS
 
-        if method in ESTIMATORS and law in LAWS:
-            return Scheme(name, method, law, "")
-    if name not in known:
-        raise ValueError(unknown("scheme", name, [*known, "METHOD+LAW"]))
-    return known[name]
+    method, _, law = name.partition("+")
+    if method in ESTIMATORS and law in LAWS:
+        return Scheme(name, method, law, "")
+    raise ValueError(unknown("scheme", name, [*known, "METHOD+LAW"]))

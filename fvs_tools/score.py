@@ -42,14 +42,13 @@ def judge(
     final, parts_m = time_s >= time_s[-1] - FINAL_S, kind.parts_m(errors_m)
     longer_m = np.max(list(parts_m.values()), axis=0)
     distance_m, arc_m = parts_m["way_m"], parts_m.get("arc_m")
-    final_rad = None if arc_m is None else _rms(arc_m[final]) / kind.unit[-1]
     return TargetScore(
         start_distance_m=float(distance_m[0]),
         settling_5mm_s=settling_time_s(time_s, longer_m, SETTLED_ERROR_M),
         settling_2mm_s=settling_time_s(time_s, longer_m, FINE_ERROR_M),
         final_rms_m=_rms(distance_m[final]),
         peak_joint_speed_rad_s=float(np.max(np.abs(joint_velocity_rad_s), initial=0.0)),
-        final_rms_deg=None if final_rad is None else float(np.degrees(final_rad)),
+        final_rms_deg=None if arc_m is None else _rms(np.degrees(arc_m[final] / kind.unit[-1])),
     )
 
 

@@ -26,10 +26,8 @@ class Workers:
     Both must be picklable. Results are in the items' order and as of one process.
     """
 
-    #: Name of a backend, and settings of its own after it: ``NAME,key=value``.
-    backend: str = "loky"
-    #: Number of processes, -1 for all cores. A cluster has its own.
-    jobs: int = -1
+    backend: str = "loky"  #: its name, and settings of its own after it: ``NAME,key=value``
+    jobs: int = -1  #: number of processes, -1 for all cores; a cluster has its own
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
         """The results, each as soon as it and those before are there."""
