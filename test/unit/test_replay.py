@@ -64,7 +64,7 @@ def ends_s(records):
 def test_a_target_is_judged_by_the_true_ball(tmp_path, replayed):
     verdict, (row,) = replayed(write_bag(tmp_path / "bag", servo()))
     assert verdict == "1 of 1 targets settled"
-    assert row.endswith("300 mm     1.02 s     1.26 s    0.00 mm        2.40 rad/s  SETTLED")
+    assert row.endswith("300 mm   1.02 s   1.26 s    0.00 mm        2.40 rad/s  SETTLED")
     (record,), _, _ = read(tmp_path / "bag")
     assert BELOW_5_S <= record.score().settling_5mm_s < BELOW_5_S + 0.0081
     assert BELOW_2_S <= record.score().settling_2mm_s < BELOW_2_S + 0.0081
