@@ -128,7 +128,7 @@ def frame(story):
         figure.figimage(photograph(story, camera), left, STRIP_PX, origin="upper")
         figure.text((left + 10) / width, 1 - 24 / height, title, size=12)
     figure.text(10 / width, (STRIP_PX - 26) / height, story.caption, size=15, weight="bold")
-    axes = figure.add_axes((0.072, 46 / height, 0.92, (STRIP_PX - 46 - CAPTION_PX) / height))
+    axes = figure.add_axes((0.072, 46 / height, 0.91, (STRIP_PX - 46 - CAPTION_PX) / height))
     axes.semilogy(story.times_s, np.multiply(1e3, story.errors_m), color=np.divide(TARGET_RGB, 255))
     for moment_s, event in story.events:
         axes.axvline(moment_s, color="0.5", linewidth=1)
