@@ -220,9 +220,9 @@ def _networks(
     say: Callable[[str], None],
 ) -> tuple[RbfModel, dict[str, Any], dict[str, Any]]:
     """The networks, what they were trained on, and the figures of their training."""
-    say("training the networks")
     if options.method == "poe":
         assert fit is not None
+        say("training the networks")
         joints_rad = _joints_at_exposures(data, fit.time_offset_s)
         good = fit.inliers(replace(data, joints_rad=joints_rad))
         trained_on = range_of(joints_rad[good], data.z[good], rng)
@@ -230,6 +230,7 @@ def _networks(
         return distil(fit.chain, box_rad, options.count, rng), trained_on, {}
     weights = data.kind.weights
     pairs = Pairs(data.joints_rad, weights * data.z, rng)
+    say("training the networks")
     pairs.joints = _joints_at_exposures(data, fit.time_offset_s if fit is not None else 0.0)
     iterations = options.iterations if options.method == "varpro" else 0
     weighted, good, errors = pairs.train(options.count, iterations, progress)
