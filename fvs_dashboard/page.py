@@ -331,10 +331,8 @@ class Panel:
         self._banner.content = markup.banner_html(board, self._kind, now_s)
         controller, kind = board.controller(now_s), self._kind
         target = controller.target(kind)
-        if target is None:
-            target = board.feature(now_s)  # to begin with
         if kind.rigid:
-            target_px = pictures[0].pixels(controller.target(kind))
+            target_px = pictures[0].pixels(target)
             image = pictures[0].newest(target_px)
             if image is not None:
                 self._picture.image = image
@@ -345,8 +343,9 @@ class Panel:
             named = zip(kind.cameras, words, strict=True)
             text = "; ".join(f"{name}: " * bool(name) + each for name, each in named if each)
             self._words.content = markup.line_html("next", self.clicks.words or text)
-        if target is not None and self._free("target"):
-            for field, numbers in zip(self._fields, _typed(kind, target), strict=True):
+        shown = board.feature(now_s) if target is None else target  # to begin with
+        if shown is not None and self._free("target"):
+            for field, numbers in zip(self._fields, _typed(kind, shown), strict=True):
                 field.value = tuple(numbers.tolist())
         self._show_references(board)
         for element in self._simulated:

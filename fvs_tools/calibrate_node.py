@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -132,10 +133,8 @@ class CalibrateNode(ros.FvsNode):
                 self._estimate, self._reason, good = None, str(error)[:400], 0
             else:
                 self._estimate, self._reason = estimate, verdict(estimate)[1]
-                enough = (
-                    estimate.deviation_m < self._config.stop_at_m
-                    and estimate.deviation_rad < self._config.stop_at_rad
-                )
+                limits = self._config.stop_at_m, self._config.stop_at_rad
+                enough = np.less((estimate.deviation_m, estimate.deviation_rad), limits).all()
                 good = good + 1 if enough else 0
             if late:
                 break

@@ -45,7 +45,6 @@ class DemoNode(ros.FvsNode):
         self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
         self._targets = [self.publisher(part.topics.target) for part in kind.parts]
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
-        object_truth = kind.topics.object_truth
         #: Each camera's newest truth, and its stamp.
         self._truths = [(np.nan, np.zeros(0)) for _ in kind.parts]
         for camera, truth in enumerate(part.truth for part in kind.parts):
@@ -57,8 +56,8 @@ class DemoNode(ros.FvsNode):
             self._operator = Services(self, partial(print, flush=True))
         if config.relative and not kind.on_arm:
             self._tool: tuple[float, np.ndarray] | None = None  # newest truth, and its stamp
-            kind_of_message = ros.message_class(object_truth.type)
-            self.watch(kind_of_message, object_truth.name, self._on_object_truth, ros.QOS_EVERY)
+            truth, on_object = kind.topics.object_truth, self._on_object_truth
+            self.watch(ros.message_class(truth.type), truth.name, on_object, ros.QOS_EVERY)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         self.create_timer(0.1, self._poll, clock=self.steady_clock)
 

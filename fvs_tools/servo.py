@@ -93,10 +93,8 @@ class Servo:
         estimator = create_estimator(
             chosen.method, chosen.estimator_values, lambda: trained, seen.kind
         )
-        if not urdf:
-            return cls(estimator, own)
-        joints = read_joints(find_file(urdf).read_bytes())
-        if missing := set(own["joint_names"]) - set(joints):
+        joints = read_joints(find_file(urdf).read_bytes()) if urdf else {}
+        if urdf and (missing := set(own["joint_names"]) - set(joints)):
             raise ValueError(f"{urdf} has no joint {min(missing)}, which the model moves")
         return cls(estimator, own, joints)
 
