@@ -31,21 +31,10 @@ def read_data_set(
 ) -> DataSet:
     """Joints at the exposures of the images in which a ball or tag was seen.
 
-    Its provenance has, as ``left_out``, what is missing, and why.
-
-    Parameters
-    ----------
-    path : Path
-        Folder of a rosbag2, or its one file.
-    names : sequence of str
-        The arm's joints, base to tip; last ones may be missing, as a gripper's.
-    joint_states, feature : str
-        Topics, where there are several; by default those that end as this package's.
-
-    Raises
-    ------
-    ValueError
-        If there is no bag, it lacks one of the topics, or no image has joints.
+    ``names`` are the arm's joints, base to tip; last ones may be missing, as a gripper's. Topics
+    may be named where there are several; by default they are those that end as this package's.
+    The data's provenance has, as ``left_out``, what is missing, and why. A ``ValueError`` says that
+    there is no bag, it lacks one of the topics, or no image has joints.
     """
     with open_bag(path) as reader:
         types = {each.topic: each.msgtype for each in reader.connections}
