@@ -125,12 +125,12 @@ class _Runner:
         return good
 
 
-def check(page: Path, folder: Path) -> int:
+def check(page: Path, runner: _Runner) -> int:
     """Run a page's commands; returns how many did not end well."""
     print(f"-- {page.relative_to(ROOT)}", flush=True)
     found = re.search(r"fvs_launch (\w+_standin[^`\n#]*)", page.read_text(encoding="utf-8"))
     standin = found.group(1).strip() if found else ""
-    runner, bad, beside = _Runner(folder), 0, False
+    bad, beside = 0, False
     for text in commands(page):
         words, serves, why = _plan(shlex.split(text), standin)
         if why:
@@ -159,9 +159,11 @@ def main() -> None:
         for path in ROOT.iterdir():
             if path.name not in ("out", ".git"):
                 (Path(scratch) / path.name).symlink_to(path)
+        runner = _Runner(Path(scratch))
         try:
-            bad = sum(check(page, Path(scratch)) for page in pages)
+            bad = sum(check(page, runner) for page in pages)
         finally:
+            runner.stop()
             (ROOT / "out").mkdir(exist_ok=True)
             shutil.copy(Path(scratch) / "commands.log", ROOT / "out")
     print("exit code, seconds, command; what was printed is in out/commands.log")
