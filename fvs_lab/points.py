@@ -117,7 +117,9 @@ def learned_room(task: Task) -> tuple[Room, Sequence[Any]]:
     lenses = [replace(lens, k1=task.k1) for lens in LENSES[: 1 + (task.name == TWO)]]
     chains = [before(arm, pose, lens) for pose, lens in zip(POSES, lenses, strict=False)]
     room = Room(chains, HOME_RAD, BOX_RAD, NOISES[task.noise])
-    return room, [train(data, TrainingOptions("poe")) for data in room.collect(1, MOTION_S)]
+    sets = room.collect(1, MOTION_S)
+    trained: list[Any] = [train(data, TrainingOptions("poe")) for data in sets]
+    return room, [replace(model, chain=model.chain.each[0]) for model in trained]
 
 
 def drawn_camera(
