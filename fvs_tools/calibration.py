@@ -64,11 +64,22 @@ _SIGMAS = 5.0
 
 
 def calibrate(data: DataSet, arm: Kinematics, camera_on_arm: bool = False) -> Estimate:
-    """Find the camera in the arm's frame, from images of a ball or tag.
+    """Find the camera in the arm's frame.
 
-    The tip of the moving arm carries the target or, with ``camera_on_arm``, the camera, and the
-    target is at rest. A ``ValueError`` says that there are too few images, a joint is missing, all
-    but one are still, or nothing fits.
+    Parameters
+    ----------
+    data : DataSet
+        Images of a ball or tag on the tip of the moving arm; or, if the arm carries the camera, of
+        a ball or tag at rest.
+    arm : Kinematics
+        From the URDF.
+    camera_on_arm : bool
+        Whether the camera is on the tip.
+
+    Raises
+    ------
+    ValueError
+        If there are too few images, a joint is missing, all but one are still, or nothing fits.
     """
     arm = arm.reversed() if camera_on_arm else arm
     data = _ordered(data, arm)
