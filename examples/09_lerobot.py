@@ -38,9 +38,8 @@ class ServoedRobot:
     def get_observation(self):
         """The robot's, and where the ball is now; NaN while it is not known."""
         observed = self.robot.get_observation()
-        joints_rad, now_s = np.radians([observed[key] for key in self.keys]), self.clock()
-        self.servo.see(now_s, self.detect(observed))
-        self.servo.observe(now_s, joints_rad)
+        joints_rad = np.radians([observed[key] for key in self.keys])
+        self.servo.observe(self.clock(), joints_rad, self.detect(observed))
         ball_m = self.servo.feature
         return {**observed, **dict(zip(TARGET, np.full(3, np.nan) if ball_m is None else ball_m))}
 

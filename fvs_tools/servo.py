@@ -100,14 +100,22 @@ class Servo:
 
     # ---- measurements -------------------------------------------------------------------------
 
-    def observe(self, stamp_s: float, joints_rad: ArrayLike | None) -> None:
-        """Take what was seen, and the joints now, rad (m), (n,); None if they could not be read.
+    def observe(
+        self,
+        stamp_s: float,
+        joints_rad: ArrayLike | None,
+        measurement: ArrayLike | None = None,
+        exposed_s: float | None = None,
+    ) -> None:
+        """Take the joints now, rad (m), (n,), None if they could not be read, and a measurement.
 
-        What is not finite or of a wrong size, and a jump of a joint, stop the arm at once. Joints
-        whose stamp does not advance grow old.
+        The image of the ``measurement``, (m,), was exposed at ``exposed_s``, by default now. What
+        is not finite or of a wrong size, and a jump of a joint, stop the arm at once. Joints whose
+        stamp does not advance grow old.
         """
         if not isfinite(stamp_s):
             raise ValueError(f"stamp_s must be a finite time, s, got {stamp_s}")
+        self.see(stamp_s if exposed_s is None else exposed_s, measurement)
         if stamp_s > self._stamp_s:
             self._ahead_s = max(self._ahead_s, self._now_s - stamp_s)
             self._now_s, self._newer = stamp_s + self._ahead_s, True
