@@ -298,11 +298,11 @@ def measure(context: lab.Context) -> Results:
     tasks = [("schemes", Task(name), count) for name in TASKS]
     tasks += [("conditions", task, count) for task in conditions]
     seeds = range(1, 1 + count)
-    worlds = range(1, 1 + (2 if context.quick else context.count(WORLDS)))
-    rows = context.rows(of_task, tasks[2:5:2] if context.quick else tasks, "schemes")
+    worlds = range(1, 1 + context.count(WORLDS))
+    rows = context.rows(of_task, tasks[2:6:3] if context.quick else tasks, "schemes")
     paths = product(context.first(NOISES, 1), range(1, 1 + context.count(PATHS)))
     rows += context.rows(judge_all, paths, "estimators")
-    rows += context.map(fitted, context.first(product(WHITE_PX, K1S, seeds), 4), "fits")
+    rows += context.map(fitted, context.first(product(WHITE_PX, K1S, seeds), 2), "fits")
     return Results([*rows, *context.map(world, worlds, "worlds")])
 
 
