@@ -149,8 +149,9 @@ def servo(arm: str, feature: str, count: int, duration_s: float) -> list[dict[st
         case = Case(f"{arm} {number + 1}", *pair, number)
         (trial,) = crossed([variant], [case])
         run = drive(trial, simulation)
-        least_s = floor_s(simulation, case, chain) if feature == BALL else np.nan
-        rows.append({**run, "over_5mm": run["to_5mm_s"] / least_s})
+        if feature == BALL:
+            run["over_5mm"] = run["to_5mm_s"] / floor_s(simulation, case, chain)
+        rows.append(run)
     return rows
 
 
