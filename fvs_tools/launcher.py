@@ -9,6 +9,7 @@ stop.listen()
 import argparse
 import contextlib
 import importlib.util
+import json
 import os
 import shlex
 import signal
@@ -28,10 +29,10 @@ from fvs_sim_node.robot import NEEDS_PYBULLET
 from fvs_tools.scenario import (
     NODE_TABLE,
     Scenario,
-    check_estimator,
     load_scenario,
     params_yaml,
     scenario_names,
+    unfit_model,
 )
 from fvs_tools.schemes import BEYOND, SCHEMES
 
@@ -262,9 +263,7 @@ def _check(scenario: Scenario, arguments: argparse.Namespace) -> None:
     if topics.ESTIMATOR not in scenario:
         return
     values, name = scenario[topics.ESTIMATOR], arguments.scenario
-    try:
-        check_estimator(values)
-    except ValueError as error:
+    if error := unfit_model(values):
         usual = "collect_minute" if simulated else "ur5_real_collect"
         collect = f"{name}_collect" if f"{name}_collect" in scenario_names() else usual
         missing = isinstance(error.__cause__, FileNotFoundError)  # else the file stays
@@ -274,10 +273,11 @@ def _check(scenario: Scenario, arguments: argparse.Namespace) -> None:
         own = {**scenario.get(topics.SIM, {}), **values}
         usually = load_scenario(collect)[topics.COLLECTOR]
         arm = ("robot", "urdf_path") if simulated else ("joint_names",)
+        written = {each.partition(":=")[0] for each in same}
         learn = [
-            f"{key}:={own[key]}".replace("'", "")  # of a list's elements
+            f"{key}:={json.dumps(own[key]) if isinstance(own[key], list) else own[key]}"
             for key in ("feature", "camera_mount", "cameras", *arm)
-            if own.get(key, usually.get(key)) != usually.get(key)
+            if key not in written and own.get(key, usually.get(key)) != usually.get(key)
         ]
         learn += [each for each in same if _takes(collect, each)]
         scheme = f" --scheme {arguments.scheme}" if arguments.scheme else ""

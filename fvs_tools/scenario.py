@@ -193,15 +193,19 @@ def _declared(node: str) -> ParameterSet:
     return ParameterSet([*parameters_of(node), _EVERYWHERE])
 
 
-def check_estimator(values: dict[str, Any]) -> None:
-    """A ``ValueError`` says why the estimator cannot start with the values of a scenario."""
+def unfit_model(values: dict[str, Any]) -> ValueError | None:
+    """Why the estimator cannot start with the model of a scenario; a ``ValueError`` if at all."""
     from fvs_estimator_node.registry import EstimatorConfig, create_estimator, trained_model
 
     known = parameters_of(topics.ESTIMATOR)
     every = known.values({name: value for name, value in values.items() if name in known})
     config = EstimatorConfig.from_values(every)
-    load = partial(trained_model, config, every["joint_names"])
-    create_estimator(config.method, every, load, config.kind)
+    load, kind = partial(trained_model, config, every["joint_names"]), config.kind
+    try:
+        create_estimator(config.method, every, load, kind)
+    except ValueError as error:
+        return error
+    return None
 
 
 def params_yaml(parameters: Scenario) -> str:

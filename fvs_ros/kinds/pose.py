@@ -116,8 +116,11 @@ class Pose(Kind):
 
     def parse(self, numbers: np.ndarray) -> np.ndarray:
         """Pose of a position, m, and a quaternion or a rotation vector, degrees."""
-        if len(numbers) != 6:
+        if len(numbers) == len(self.columns):
             return super().parse(numbers)
+        if len(numbers) != 6:
+            ways = "6 numbers, x y z and a rotation vector, degrees, or 7, x y z qx qy qz qw"
+            raise ValueError(f"has {ways}, got {len(numbers)}")
         rotation = rotation_from_vector(np.radians(numbers[3:]))
         return self.checked(self.of_body(numbers[:3], rotation))
 

@@ -51,7 +51,7 @@ def test_a_pose_is_written_with_a_quaternion_or_a_rotation_vector(rng):
     vector_deg = np.degrees(vector_from_rotation_rad(Pose().rotation(z)))
     for numbers in (Pose().columns_of(z), np.append(z[:3], vector_deg)):
         np.testing.assert_allclose(Pose().parse(numbers), z, atol=1e-9)
-    with pytest.raises(ValueError, match="7 numbers, x y z qx qy qz qw, got 5"):
+    with pytest.raises(ValueError, match="or 7, x y z qx qy qz qw, got 5"):
         Pose().parse(np.ones(5))
 
 
