@@ -93,16 +93,13 @@ def program(module: str) -> list[str]:
 def registered(registry: str, own: dict[str, Any]) -> dict[str, Any]:
     """A registry with what installed packages add: their entry points ``fvs_ros.REGISTRY``.
 
-    What cannot be imported is said and left out; a ``ValueError`` if a name is taken.
+    What cannot be imported, or has a name that is taken, is said and left out.
     """
-    added = {}
+    added = dict[str, Any]()
     for point in metadata.entry_points(group=f"{PACKAGE}.{registry}"):
-        if point.name in own:
-            raise ValueError(
-                f"{point.group}: {point.name} = {point.value} has the name of {PACKAGE}'s "
-                f"{own[point.name].__name__}: give it another, or uninstall its package"
-            )
         try:
+            if point.name in {**own, **added}:
+                raise ValueError("another has this name")
             added[point.name] = point.load()
         except Exception as error:  # whatever a package of others raises
             warn(
