@@ -216,7 +216,8 @@ class ControllerNode(ros.FvsNode):
     def _as_service(self, action):
         def on_request(_request: Trigger.Request, response: Trigger.Response):
             response.success, response.message = action()
-            self.get_logger().info(response.message)
+            tell = self.get_logger().info if response.success else self.log_refusal
+            tell(response.message)
             return response
 
         return on_request

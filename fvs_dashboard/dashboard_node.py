@@ -300,7 +300,8 @@ class DashboardNode(ros.FvsNode):
             self._calls.stop()
             if self._board.parameters.get(topics.SIM):
                 self._calls.set(_CAMERA_ROTATION, (0.0, 0.0, 0.0))
-                self._calls.call(f"{topics.SIM}/reset")
+                # In a session a position would lead the arm back.
+                self._calls.call(f"{topics.CONTROLLER}/stop", f"{topics.SIM}/reset")
             self._calls.call(f"{topics.ESTIMATOR}/reset")
         elif name == "bump":
             largest_deg = np.array([4.0, 4.0, 25.0])  # more about x and y would lose the ball

@@ -79,7 +79,7 @@ def banner_html(board: Board, kind: Kind, now_s: float) -> str:
         f'<div id="fvs-{name}">{escape(in_words(words))}</div>' for name, words in lines.items()
     )
     error = distance(kind, controller.errors(kind))
-    known = "estimated" * (error != "–") + f"; true {true}" * (true != "–")
+    known = "; ".join(["estimated"] * (error != "–") + [f"true {true}"] * (true != "–"))
     return (
         f'<div class="fvs-over{" fvs-alone" * (not kind.rigid)}">'
         f'<div id="fvs-banner" data-state="{escape(controller.state)}"><div class="fvs-head">'

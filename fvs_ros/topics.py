@@ -50,7 +50,10 @@ NODES = SIM, DETECTOR, ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DEMO, DASHBO
 _TRIGGER = "std_srvs/srv/Trigger"
 #: Name of a service -> its type, and what a call does.
 SERVICES = {
-    f"{SIM}/reset": (_TRIGGER, "Puts the arm back to `initial_joints_rad`."),
+    f"{SIM}/reset": (
+        _TRIGGER,
+        "Puts the arm back to `initial_joints_rad`; stop the controller first.",
+    ),
     f"{ESTIMATOR}/reset": (_TRIGGER, "Forgets what was learned online."),
     f"{ESTIMATOR}/freeze": ("std_srvs/srv/SetBool", "Stops the learning, or resumes it."),
     f"{CONTROLLER}/start": (_TRIGGER, "Lets the arm move, if everything is ready."),
