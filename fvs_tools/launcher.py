@@ -29,6 +29,7 @@ from fvs_sim_node.robot import NEEDS_PYBULLET
 from fvs_tools.scenario import (
     NODE_TABLE,
     Scenario,
+    check_controller,
     load_scenario,
     params_yaml,
     scenario_names,
@@ -260,6 +261,8 @@ def _check(scenario: Scenario, arguments: argparse.Namespace) -> None:
     simulated = topics.SIM in scenario
     if simulated and importlib.util.find_spec("pybullet") is None:
         raise ValueError(NEEDS_PYBULLET)
+    if topics.CONTROLLER in scenario:
+        check_controller(scenario[topics.CONTROLLER])
     if topics.ESTIMATOR not in scenario:
         return
     values, name = scenario[topics.ESTIMATOR], arguments.scenario

@@ -193,12 +193,24 @@ def _declared(node: str) -> ParameterSet:
     return ParameterSet([*parameters_of(node), _EVERYWHERE])
 
 
+def _complete(node: str, values: dict[str, Any]) -> dict[str, Any]:
+    """All parameters of a node, with the values of a scenario."""
+    known = parameters_of(node)
+    return known.values({name: value for name, value in values.items() if name in known})
+
+
+def check_controller(values: dict[str, Any]) -> None:
+    """A ``ValueError`` says why the controller cannot start with the values of a scenario."""
+    from fvs_controller_node.config import SupervisorConfig
+
+    SupervisorConfig.from_values(_complete(topics.CONTROLLER, values))
+
+
 def unfit_model(values: dict[str, Any]) -> ValueError | None:
     """Why the estimator cannot start with the model of a scenario; a ``ValueError`` if at all."""
     from fvs_estimator_node.registry import EstimatorConfig, create_estimator, trained_model
 
-    known = parameters_of(topics.ESTIMATOR)
-    every = known.values({name: value for name, value in values.items() if name in known})
+    every = _complete(topics.ESTIMATOR, values)
     config = EstimatorConfig.from_values(every)
     load, kind = partial(trained_model, config, every["joint_names"]), config.kind
     try:

@@ -158,6 +158,7 @@ REFUSED = [
         "\n  fvs_launch collect_minute --train out/model.npz -p robot:=iiwa"
         "\n  fvs_launch demo -p robot:=iiwa -p targets:=3 -p model_path:=out/model.npz\n",
     ),
+    (MODULE, ["demo", "-p", "robot:=scara", "-p", "feature:=pose"], "with fewer set task_axes"),
     (MODULE, ["ur5_real"], "\n  fvs_launch ur5_real_collect --train out/ur5_real/model.npz\n"),
     ("fvs_tools.demo_node", ros_arguments(output_dir="/proc/no"), "cannot be written"),
     ("fvs_tools.calibrate_node", ros_arguments(output_path="/proc/c.yaml"), "cannot be written"),
