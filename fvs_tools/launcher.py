@@ -254,13 +254,16 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _check(scenario: Scenario, arguments: argparse.Namespace) -> None:
-    """Refuse, before a node starts, what cannot run: without PyBullet, or with a wrong model.
+    """Refuse, before a node starts, what cannot run to its end, as with a wrong model.
 
     The ``ValueError`` says what to install, or the commands that make a right model.
     """
     simulated = topics.SIM in scenario
     if simulated and importlib.util.find_spec("pybullet") is None:
         raise ValueError(NEEDS_PYBULLET)
+    for values in scenario.values():
+        if "output_path" in values:
+            output_file(values["output_path"])
     if topics.CONTROLLER in scenario:
         check_controller(scenario[topics.CONTROLLER])
     if topics.ESTIMATOR not in scenario:
