@@ -14,7 +14,7 @@ names them in its `pyproject.toml`:
 Then `pip install -e ../my_package` into `.venv`, and `fvs_launch demo --scheme mine+mine`. Of the
 experiments, `everyday`, `tags` and `robustness` take `--scheme`, such as
 `fvs_experiments everyday --scheme mine+mine`, which needs `pip install -e '.[lab]'`. Gains are not
-searched: your defaults count.
+searched: your defaults count, if no other law has a gain of the same name.
 """
 
 from dataclasses import dataclass
