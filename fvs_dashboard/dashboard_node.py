@@ -14,6 +14,7 @@ from functools import partial
 from math import inf, nan
 from pathlib import Path
 from queue import SimpleQueue
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -264,18 +265,21 @@ class DashboardNode(ros.FvsNode):
             self._look_at_references(References(path, self._kind, self._joint_map.names))
 
     def _look_at_references(self, references: References) -> None:
-        """Read them if their file changed; of its 64 kB at most that takes 0.1 s."""
+        """Read them if their file changed, in a thread: a long file must not delay a stop."""
         board, path, written = self._board, references.path, 0
         with suppress(OSError, ValueError):  # no such file, or no name of one
             written = path.stat().st_mtime_ns
-        if (path, written) == self._references_read:
-            return
-        self._references_read = path, written
-        board.references_problem = "" if written else f"nothing is taught in {path} yet"
-        try:
-            board.references = references.entries()
-        except ValueError as error:
-            board.references, board.references_problem = {}, str(error)
+
+        def read() -> None:
+            try:
+                board.references = references.entries()
+                board.references_problem = "" if written else f"nothing is taught in {path} yet"
+            except ValueError as error:
+                board.references, board.references_problem = {}, str(error)
+
+        if (path, written) != self._references_read:
+            self._references_read = path, written
+            Thread(target=read, daemon=True).start()
 
     # --- what is done ---
 
