@@ -304,8 +304,11 @@ class DashboardNode(ros.FvsNode):
             self._calls.stop()
             if self._board.parameters.get(topics.SIM):
                 self._calls.set(_CAMERA_ROTATION, (0.0, 0.0, 0.0))
-                # In a session a position would lead the arm back.
-                self._calls.call(f"{topics.CONTROLLER}/stop", f"{topics.SIM}/reset")
+                in_turn = [f"{topics.SIM}/reset"]
+                if self._board.parameters.get(topics.CONTROLLER):
+                    # In a session a position would lead the arm back.
+                    in_turn.insert(0, f"{topics.CONTROLLER}/stop")
+                self._calls.call(*in_turn)
             self._calls.call(f"{topics.ESTIMATOR}/reset")
         elif name == "bump":
             largest_deg = np.array([4.0, 4.0, 25.0])  # more about x and y would lose the ball
